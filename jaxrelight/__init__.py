@@ -1,0 +1,1 @@
+"""Differentiable precomputed light transport and relighting in JAX."""
