@@ -1,0 +1,57 @@
+"""Orthonormal two-dimensional Haar wavelets on each face of a cube map (Wang 2006 §4.1.1).
+
+The square ("non-standard") transform: rows and columns are halved together, level by level. A face of n×n texels
+becomes n×n coefficients in the usual pyramid: the average at [0, 0], then for every level of side m its horizontal
+details at [:m, m:2m], vertical at [m:2m, :m] and diagonal at [m:2m, m:2m].
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def forward(faces: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
+    """Haar coefficients of each face; n is a power of two. The transform is orthonormal, so energy is kept."""
+    average, details = faces, []
+    while average.shape[-1] > 1:
+        a, b = average[..., 0::2, 0::2], average[..., 0::2, 1::2]
+        c, d = average[..., 1::2, 0::2], average[..., 1::2, 1::2]
+        details.append(((a - b + c - d) / 2, (a + b - c - d) / 2, (a - b - c + d) / 2))
+        average = (a + b + c + d) / 2
+    for horizontal, vertical, diagonal in reversed(details):
+        top = jnp.concatenate([average, horizontal], axis=-1)
+        average = jnp.concatenate([top, jnp.concatenate([vertical, diagonal], axis=-1)], axis=-2)
+    return average
+
+
+def inverse(coefficients: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
+    """Faces from their Haar coefficients: the transpose of `forward`, which is its inverse."""
+    n = coefficients.shape[-1]
+    average, m = coefficients[..., :1, :1], 1
+    while m < n:
+        horizontal = coefficients[..., :m, m : 2 * m]
+        vertical = coefficients[..., m : 2 * m, :m]
+        diagonal = coefficients[..., m : 2 * m, m : 2 * m]
+        left = jnp.stack([average + horizontal + vertical + diagonal, average - horizontal + vertical - diagonal], -1)
+        right = jnp.stack([average + horizontal - vertical - diagonal, average - horizontal - vertical + diagonal], -1)
+        average = jnp.stack([left, right], axis=-3).reshape(*average.shape[:-2], 2 * m, 2 * m) / 2
+        m *= 2
+    return average
+
+
+class HaarFaces(eqx.Module):
+    """The basis of Haar coefficients on a 6×n×n cube map; functions on it are vectors of d = 6·n² numbers."""
+
+    resolution: int = eqx.field(static=True)
+
+    def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """Coefficients of texel values; linear and orthonormal."""
+        return self._on_faces(forward, texels)
+
+    def decode(self, coefficients: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """Texel values of coefficients: the inverse, and the transpose, of `encode`."""
+        return self._on_faces(inverse, coefficients)
+
+    def _on_faces(self, transform, vector):
+        n = self.resolution
+        return transform(vector.reshape(*vector.shape[:-1], 6, n, n)).reshape(vector.shape)

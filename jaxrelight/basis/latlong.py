@@ -1,0 +1,140 @@
+"""Lat-long maps: directions, rotation, look-up, and resampling to a cube map by area.
+
+The top row looks to +y, the image centre to +z and u = 0.25 to +x. A pixel is a constant cell: light is the integral
+of the map, so resampling weighs every pixel by the solid angle it shares with a texel.
+"""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrelight.basis import cubemap
+from jaxrelight.operators.sparse_rows import SparseRows
+
+
+def directions(u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "... 3"]:
+    """Unit vectors at image coordinates u (rightwards) and v (downwards), both in 0 … 1."""
+    longitude, polar = 2 * np.pi * (0.5 - u), np.pi * v
+    sine = np.sin(polar)
+    return np.stack([sine * np.sin(longitude), np.cos(polar) + 0 * u, sine * np.cos(longitude)], axis=-1)
+
+
+def coordinates(direction: Float[np.ndarray, "... 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Image coordinates (u, v) in 0 … 1 of unit vectors."""
+    x, y, z = np.moveaxis(direction, -1, 0)
+    return 0.5 - np.arctan2(x, z) / (2 * np.pi), np.arctan2(np.hypot(x, z), y) / np.pi
+
+
+def solid_angles(height: int, width: int) -> Float[np.ndarray, " h"]:
+    """Solid angle of one pixel of each row, in steradians; `width` of them in every row sum to 4π."""
+    edge = np.cos(np.linspace(0, np.pi, height + 1))
+    return (edge[:-1] - edge[1:]) * (2 * np.pi / width)
+
+
+def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Array, "h w c"]:
+    """The map turned about +y, counter-clockwise seen from +y.
+
+    Rows are shifted, and a shift by part of a pixel shares each constant cell between two by area: every row keeps
+    its energy, and the result is differentiable in the angle (one-sided at whole pixels).
+    """
+    width = pixels.shape[1]
+    shift = jnp.asarray(degrees, pixels.dtype) * (width / 360)
+    whole = jnp.floor(shift)
+    part = shift - whole
+    whole = jnp.mod(whole, width).astype(jnp.int32)
+    return (1 - part) * jnp.roll(pixels, -whole, axis=1) + part * jnp.roll(pixels, -whole - 1, axis=1)
+
+
+def look_up(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... c"]:
+    """Radiance of the constant cell at image coordinates (u, v)."""
+    height, width = pixels.shape[:2]
+    row = jnp.clip((v * height).astype(jnp.int32), 0, height - 1)
+    return pixels[row, jnp.mod((u * width).astype(jnp.int32), width)]
+
+
+class AreaResampling(eqx.Module):
+    """The linear map from lat-long pixels to the mean radiance of cube-map texels.
+
+    Every weight is the share of a texel's solid angle that lies in a pixel. A texel's weights sum to 1, so a
+    constant map stays constant, and a pixel's solid angle is given out whole, so one hot pixel keeps its energy.
+    Texels with about as many pixels are held together.
+
+    Attributes:
+        groups: rows of weights by number of pixels, padded to a power of two.
+        order: where each texel's row is found in the concatenated groups.
+    """
+
+    groups: tuple[SparseRows, ...]
+    order: Int[Array, " d"]
+
+    def apply(self, pixels: Float[Array, "h w c"]) -> Float[Array, "d c"]:
+        """Mean radiance of every texel, in the order of `cubemap.directions`."""
+        flat = pixels.reshape(-1, pixels.shape[-1])
+        return jnp.concatenate([group.apply(flat) for group in self.groups])[self.order]
+
+
+@functools.lru_cache(maxsize=4)
+def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
+    """The resampling from a height × width lat-long map to a 6×resolution×resolution cube map."""
+    texel, pixel, shared = _overlaps(height, width, resolution)
+    weight = shared / cubemap.solid_angles(resolution)[texel]
+    counts = np.bincount(texel, minlength=6 * resolution**2)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    capacities = 2 ** np.ceil(np.log2(counts)).astype(int)
+    groups, members = [], []
+    for capacity in np.unique(capacities):
+        rows = np.flatnonzero(capacities == capacity)
+        slot = np.arange(capacity)
+        inside = slot < counts[rows, None]
+        entry = np.where(inside, starts[rows, None] + slot, 0)
+        values = np.where(inside, weight[entry], 0)[:, None].astype(np.float32)
+        indices = np.where(inside, pixel[entry], 0).astype(np.int32)
+        groups.append(SparseRows(jnp.asarray(indices), jnp.asarray(values), height * width))
+        members.append(rows)
+    return AreaResampling(tuple(groups), jnp.asarray(np.argsort(np.concatenate(members), kind="stable")))
+
+
+def _overlaps(height: int, width: int, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solid angles shared by texels and pixels: (texel, pixel, shared), sorted by texel.
+
+    Along a meridian every border of a texel or pixel is crossed at a known latitude, and the side faces' columns end
+    at meridians. So the integral over latitude is exact, and Gauss's rule between neighbouring meridians does the rest.
+    """
+    edge = np.linspace(-1, 1, resolution + 1)
+    quarter = np.arctan(edge) / (2 * np.pi)
+    meridians = [np.linspace(0, 1, width + 1), np.linspace(0, 1, 16 * resolution + 1)]
+    meridians += [quarter + face for face in (0, 0.25, 0.5, 0.75, 1)]
+    cuts = np.unique(np.concatenate(meridians).clip(0, 1).round(14))
+    middle, half = (cuts[1:] + cuts[:-1]) / 2, (cuts[1:] - cuts[:-1]) / 2
+    u = (middle + half * np.array([[-1], [1]]) / np.sqrt(3)).T.ravel()
+    weight = np.repeat(half, 2) * 2 * np.pi
+
+    longitude = 2 * np.pi * (0.5 - u)
+    sine, cosine = np.abs(np.sin(longitude))[:, None], np.abs(np.cos(longitude))[:, None]
+    side = np.maximum(sine, cosine)
+    # tan(latitude) of the borders: of side faces' rows, then of the grid on the caps, then of lat-long rows.
+    inner = edge[edge > 1e-9]
+    cap = np.concatenate([np.minimum(sine / inner, 1e9), np.minimum(cosine / inner, 1e9)], axis=1)
+    cap = np.maximum(cap, side)
+    rows = np.broadcast_to(np.pi / 2 - np.linspace(0, np.pi, height + 1), (u.size, height + 1))
+    latitude = np.concatenate([np.arctan(edge * side), np.arctan(cap), -np.arctan(cap), rows], axis=1)
+    latitude = -np.sort(-latitude, axis=1)
+    middle = (latitude[:, 1:] + latitude[:, :-1]) / 2
+    shared = (np.sin(latitude[:, :-1]) - np.sin(latitude[:, 1:])) * weight[:, None]
+
+    v = 0.5 - middle / np.pi
+    texel = cubemap.texel_of(directions(np.broadcast_to(u[:, None], v.shape), v), resolution)
+    pixel = np.minimum((v * height).astype(int), height - 1) * width + (u * width).astype(int)[:, None]
+    some = shared > 1e-15
+    key, inverse = np.unique(texel[some] * (height * width) + pixel[some], return_inverse=True)
+    shared = np.bincount(inverse, shared[some])
+    texel, pixel = key // (height * width), key % (height * width)
+    # Balance what the rule left: each pixel and each texel has exactly its own solid angle.
+    texel_area, pixel_area = cubemap.solid_angles(resolution), np.repeat(solid_angles(height, width), width)
+    for _ in range(4):
+        shared *= (pixel_area / np.bincount(pixel, shared, pixel_area.size))[pixel]
+        shared *= (texel_area / np.bincount(texel, shared, texel_area.size))[texel]
+    return texel, pixel, shared

@@ -1,0 +1,1 @@
+"""Linear maps from light to radiance, all with one contract."""

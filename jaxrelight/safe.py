@@ -1,0 +1,41 @@
+"""Powers, norms and angles whose values and gradients stay finite where the plain formulas do not."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+# exp() of more overflows float32; a lobe that would is held at this logarithm instead.
+_LARGEST_LOG = 80.0
+
+
+def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Computes max(0, base)**exponent as exp(exponent · log base), and 0 where base ≤ 0, also for exponent 0.
+
+    The input of the logarithm is masked, not only its result, so gradients are finite for every base; a power
+    beyond exp(80) is held there.
+    """
+    positive = base > 0
+    logarithm = exponent * jnp.log(jnp.where(positive, base, 1))
+    return jnp.where(positive, jnp.exp(jnp.minimum(logarithm, _LARGEST_LOG)), 0)
+
+
+def norm(vector: Float[Array, "... n"]) -> Float[Array, "..."]:
+    """Euclidean length over the last axis: 0 with a zero gradient at the zero vector, no overflow before 1e38."""
+    largest = jnp.max(jnp.abs(vector), axis=-1, keepdims=True)
+    nonzero = largest > 0
+    scaled = jnp.where(nonzero, vector, 1) / jnp.where(nonzero, largest, 1)
+    length = jnp.sqrt(jnp.sum(scaled * scaled, axis=-1))
+    return jnp.where(nonzero[..., 0], length * largest[..., 0], 0)
+
+
+def normalize(vector: Float[Array, "... n"]) -> Float[Array, "... n"]:
+    """The unit vector along `vector`; the zero vector stays zero, with a zero gradient."""
+    length = norm(vector)[..., None]
+    nonzero = length > 0
+    return jnp.where(nonzero, vector, 0) / jnp.where(nonzero, length, 1)
+
+
+def angle(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    """Angle between two vectors in radians, as atan2(|a × b|, a · b): accurate near 0 and π, where arccos is not."""
+    sine, cosine = norm(jnp.cross(a, b)), jnp.sum(a * b, axis=-1)
+    undefined = (sine == 0) & (cosine == 0)
+    return jnp.where(undefined, 0, jnp.arctan2(sine, jnp.where(undefined, 1, cosine)))
