@@ -1,0 +1,11 @@
+"""Images: reading, writing, tone mapping and comparing them.
+
+Everywhere in this package an image is `[h, w, c]`, row 0 at the top, linear Rec.709, with three channels or a fourth
+that holds coverage.
+"""
+
+from jaxrelight.images.files import read_image, write_image
+from jaxrelight.images.metric import ImageError, image_error
+from jaxrelight.images.tone import srgb_decode, srgb_encode, tone_map
+
+__all__ = ["ImageError", "image_error", "read_image", "srgb_decode", "srgb_encode", "tone_map", "write_image"]

@@ -1,0 +1,179 @@
+"""OpenEXR files, through the OpenEXR library.
+
+The library reports damage by printing, and then returns a file without parts; this module turns that, and whatever it
+raises, into one `InputError`.
+"""
+
+import contextlib
+import io
+import os
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxrelight.errors import InputError
+
+_MAGIC = b"\x76\x2f\x31\x01"
+_QUIET = threading.Lock()
+
+
+def read_exr(path: Path, max_pixels: int) -> np.ndarray:
+    """Read the colours of an EXR file: the first part that has some.
+
+    Channels may be half or float, and be called R, G, B (and A), the same behind a layer's name
+    (`ViewLayer.Combined.R`), or Y alone for a grey image. The result covers the display window: pixels outside the
+    data window are 0, data outside the display window is cropped.
+
+    Args:
+        path: A regular file.
+        max_pixels: Size limit, checked against the header before any pixel is read.
+
+    Returns:
+        float32 `[h, w, 3]`, or `[h, w, 4]` if there is alpha. NaN and infinity are passed on.
+
+    Raises:
+        InputError: The file is not EXR, is damaged, too large, deep, or has no colours.
+    """
+    with path.open("rb") as file:
+        if file.read(4) != _MAGIC:
+            raise InputError(f"{path}: not an OpenEXR file although it is named so; export it again as EXR")
+    headers = [header for header, _ in _load(path, header_only=True)]
+    for header in headers:
+        _check_header(path, header, max_pixels)
+    number, names = _choose_part(path, [[channel.name for channel in header["channels"]] for header in headers])
+
+    parts = _load(path, header_only=False)
+    if len(parts) != len(headers):
+        raise InputError(f"{path}: pixels are missing or damaged; the file may be cut short, export or copy it again")
+    header, channels = parts[number]
+    planes = [channels[name].pixels for name in names]
+    height, width = _size(header["dataWindow"])
+    for name, plane in zip(names, planes, strict=True):
+        if plane.dtype.kind != "f" or plane.shape != (height, width):
+            raise InputError(f"{path}: channel {name} holds integers or is subsampled; export full half or float RGB")
+    return _place(np.stack(planes, axis=-1).astype(np.float32), header["dataWindow"], header["displayWindow"])
+
+
+def write_exr(path: Path, pixels: np.ndarray) -> None:
+    """Write `[h, w, 3 or 4]` as float32 channels R, G, B (and A), ZIP compressed, without loss.
+
+    Raises:
+        OSError: The file could not be written.
+    """
+    import OpenEXR
+
+    image = np.ascontiguousarray(pixels, dtype=np.float32)  # a strided or float64 array is more than the library bears
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        with _quiet():
+            OpenEXR.File(header, {"RGB" if image.shape[2] == 3 else "RGBA": image}).write(str(path))
+    except Exception as fault:  # the library has no exception type of its own
+        raise OSError(str(fault).strip().split('". ')[-1]) from fault
+
+
+def _load(path: Path, *, header_only: bool) -> list[tuple[dict, dict]]:
+    """Header and channels of each part that the library could read."""
+    import OpenEXR
+
+    try:
+        with _quiet():
+            file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+            parts = [(file.header(i), file.channels(i)) for i in range(len(file.parts))]
+    except Exception as fault:  # RuntimeError, ValueError, UnicodeDecodeError, ...: whatever the damage led to
+        raise InputError(f"{path}: damaged or cut-short OpenEXR file; export or copy it again") from fault
+    if header_only and not parts:
+        raise InputError(f"{path}: OpenEXR file without an image; export or copy it again")
+    return parts
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Drop what the library prints: C++ writes to descriptor 2, its Python layer to `sys.stdout`."""
+    with _QUIET, contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.redirect_stdout(io.StringIO()))
+        with contextlib.suppress(OSError):  # no descriptor 2: nothing to silence
+            saved = os.dup(2)
+            stack.callback(os.close, saved)
+            nowhere = stack.enter_context(open(os.devnull, "wb"))
+            stack.callback(os.dup2, saved, 2)
+            os.dup2(nowhere.fileno(), 2)
+        yield
+
+
+def _size(window) -> tuple[int, int]:
+    (left, top), (right, bottom) = np.asarray(window, dtype=np.int64)
+    return int(bottom - top + 1), int(right - left + 1)
+
+
+def _check_header(path: Path, header: dict, max_pixels: int) -> None:
+    import OpenEXR
+
+    if header["type"] not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
+        raise InputError(f"{path}: deep EXR images are not supported; flatten it and export again")
+    for window in (header["dataWindow"], header["displayWindow"]):
+        height, width = _size(window)
+        if height < 1 or width < 1:
+            raise InputError(f"{path}: the header claims an empty image of {width}x{height} pixels; export it again")
+        if height * width > max_pixels:
+            raise InputError(
+                f"{path}: the header claims {width}x{height} pixels, more than the limit of {max_pixels}; "
+                "shrink the image"
+            )
+    height, width = _size(header["dataWindow"])
+    if height * width * len(header["channels"]) > 4 * max_pixels:
+        raise InputError(
+            f"{path}: {len(header['channels'])} channels of {width}x{height} pixels are more than the limit of "
+            f"{4 * max_pixels} values; export only the colour channels"
+        )
+
+
+def _choose_part(path: Path, names_by_part: Sequence[Sequence[str]]) -> tuple[int, list[str]]:
+    """The first part with colours, and the names of its colour channels."""
+    for number, names in enumerate(names_by_part):
+        if chosen := _choose_channels(path, names):
+            return number, chosen
+    found = _listed([name for names in names_by_part for name in names])
+    raise InputError(f"{path}: no colours among the channels {found}; export R, G, B or Y")
+
+
+def _choose_channels(path: Path, names: Sequence[str]) -> list[str] | None:
+    layers: dict[str, set[str]] = {}
+    for name in names:
+        layer, _, channel = name.rpartition(".")
+        layers.setdefault(layer, set()).add(channel)
+
+    coloured = [layer for layer, has in layers.items() if {"R", "G", "B"} <= has]
+    # Y beside X and Z is a vector; beside RY and BY it is the luminance of a colour image
+    grey = [layer for layer, has in layers.items() if "Y" in has and not has & {"X", "Z", "RY", "BY"}]
+    candidates, wanted = (coloured, "RGB") if coloured else (grey, "YYY")
+    if not candidates:
+        return None
+    preferred = [layer for layer in candidates if layer == ""]
+    preferred = preferred or [layer for layer in candidates if layer.rpartition(".")[2] == "Combined"] or candidates
+    if len(preferred) > 1:
+        raise InputError(f"{path}: several layers have colours, {_listed(preferred)}; export one of them alone")
+    layer = preferred[0]
+    prefix = f"{layer}." if layer else ""
+    return [prefix + channel for channel in wanted + ("A" if "A" in layers[layer] else "")]
+
+
+def _place(pixels: np.ndarray, data_window, display_window) -> np.ndarray:
+    """Move pixels of the data window to where they belong in the display window."""
+    offset = np.asarray(data_window, np.int64)[0] - np.asarray(display_window, np.int64)[0]
+    height, width = _size(display_window)
+    if pixels.shape[:2] == (height, width) and not offset.any():
+        return pixels
+    image = np.zeros((height, width, pixels.shape[2]), np.float32)
+    (x_to, x_from), (y_to, y_from) = (
+        (slice(max(at, 0), max(min(at + length, room), 0)), slice(max(-at, 0), max(min(length, room - at), 0)))
+        for at, length, room in zip(offset.tolist(), pixels.shape[1::-1], (width, height), strict=True)
+    )
+    image[y_to, x_to] = pixels[y_from, x_from]
+    return image
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(repr(name) for name in names[:most]) + more

@@ -1,0 +1,191 @@
+"""Radiance pictures (.hdr, .pic): a text header, then scanlines of shared-exponent pixels, run-length coded.
+
+A pixel's four bytes (r, g, b, e) mean (r, g, b)·2^(e − 136). Scanlines come flat, in the old run-length coding (a pixel
+1, 1, 1, n repeats the one before it n times) or in the new one (each of the four components coded by itself).
+"""
+
+import re
+
+import numpy as np
+
+from jaxrelight.errors import InputError
+
+_MAX_HEADER = 1 << 16
+_RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,9}) +([+-])([XY]) +(\d{1,9})\s*")
+_CODED_WIDTHS = range(8, 0x8000)  # scanlines that the new coding can hold
+
+
+class _FormatError(Exception):
+    """The bytes break the format; the message ends the sentence "this file ..."."""
+
+
+def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
+    """Decode a Radiance picture to float32 `[h, w, 3]`, with EXPOSURE and COLORCORR divided out.
+
+    Args:
+        data: The file's content.
+        name: What to call it in messages.
+        max_pixels: Size limit, checked before pixels are decoded.
+
+    Raises:
+        InputError: Not such a picture, cut short, too large, or in the XYZ variant.
+    """
+    try:
+        scale, at = _read_header(data)
+        line_end = data.find(b"\n", at, at + 80)
+        found = _RESOLUTION.fullmatch(data[at:line_end]) if line_end >= 0 else None
+        if found is None or found[2] == found[5]:
+            raise _FormatError("has no resolution line such as '-Y 512 +X 1024'")
+        count, length = int(found[3]), int(found[6])
+        if not 0 < count * length <= max_pixels:
+            raise _FormatError(f"claims {length}x{count} pixels, while 1 to {max_pixels} are allowed")
+        rgbe = _read_scanlines(data, line_end + 1, count, length)
+    except _FormatError as fault:
+        raise InputError(f"{name}: this Radiance file {fault}; export or copy it again") from None
+
+    # the first axis runs along found[2], in the direction of its sign; ours run down and right, which is -Y and +X
+    if found[1] + found[2] in (b"+Y", b"-X"):
+        rgbe = rgbe[::-1]
+    if found[4] + found[5] in (b"+Y", b"-X"):
+        rgbe = rgbe[:, ::-1]
+    if found[2] == b"X":
+        rgbe = rgbe.swapaxes(0, 1)
+    exponents = np.where(rgbe[..., 3] > 0, rgbe[..., 3].astype(np.int32) - 136, -1000)  # e = 0 is black
+    pixels = np.ldexp(rgbe[..., :3].astype(np.float32), exponents[..., None])
+    with np.errstate(over="ignore"):
+        return pixels if (scale == 1).all() else pixels / scale
+
+
+def encode_radiance(pixels: np.ndarray) -> bytes:
+    """Encode `[h, w, 3 or 4]` as a Radiance picture in the new run-length coding.
+
+    The format holds colours ≥ 0, with about 1 % precision relative to a pixel's largest channel, and no alpha: negative
+    values and NaN become 0, values above 1.7e38 that number.
+    """
+    height, width = pixels.shape[:2]
+    rgbe = _to_rgbe(pixels[..., :3])
+    header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
+    if width not in _CODED_WIDTHS:
+        return header + rgbe.tobytes()
+    start = bytes((2, 2, width >> 8, width & 255))
+    return header + b"".join(
+        piece for row in rgbe for piece in (start, *(_encode_component(row[:, i].tobytes()) for i in range(4)))
+    )
+
+
+def _read_header(data: bytes) -> tuple[np.ndarray, int]:
+    """The factor by which the stored pixels were multiplied, `[3]`, and where the header ends."""
+    scale, known, at = np.ones(3), data.startswith(b"#?"), 0
+    while True:
+        end = data.find(b"\n", at, _MAX_HEADER)
+        if end < 0:
+            raise _FormatError("has a header without an end" if known else "does not start like one")
+        line, at = data[at:end].strip(), end + 1
+        if not line:
+            break
+        key, _, value = (word.strip() for word in line.partition(b"="))
+        if key == b"FORMAT":
+            if value != b"32-bit_rle_rgbe":
+                kind = value.decode("ascii", "replace")[:40]
+                raise _FormatError(f"has FORMAT={kind}, and only 32-bit_rle_rgbe is read")
+            known = True
+        elif key in (b"EXPOSURE", b"COLORCORR"):
+            try:
+                factors = [float(word) for word in value.split()]
+                scale = scale * np.reshape(factors, 1 if key == b"EXPOSURE" else 3)
+            except ValueError:
+                raise _FormatError(f"has an unreadable {key.decode()} line") from None
+    if not known:
+        raise _FormatError("has neither a '#?' line nor a FORMAT line, so it is something else")
+    with np.errstate(over="ignore", under="ignore"):
+        scale = scale.astype(np.float32)
+    if not (np.isfinite(scale) & (scale > 0)).all():
+        raise _FormatError("has an EXPOSURE or COLORCORR that is not a positive number")
+    return scale, at
+
+
+def _read_scanlines(data: bytes, at: int, count: int, length: int) -> np.ndarray:
+    """uint8 `[count, length, 4]`; memory for the whole is taken when every scanline has been found."""
+    scanlines = []
+    for number in range(count):
+        try:
+            if length in _CODED_WIDTHS and data[at : at + 2] == b"\2\2" and data[at + 2] < 128:
+                if data[at + 2] << 8 | data[at + 3] != length:
+                    raise IndexError
+                scanline, at = _decode_components(data, at + 4, length)
+            else:
+                scanline, at = _decode_pixels(data, at, length)
+        except IndexError:
+            raise _FormatError(f"is cut short or damaged in scanline {number + 1} of {count}") from None
+        scanlines.append(scanline)
+    return np.frombuffer(b"".join(scanlines), np.uint8).reshape(count, length, 4)
+
+
+def _decode_components(data: bytes, at: int, length: int) -> tuple[bytes, int]:
+    """One scanline in the new coding: a byte n > 128 repeats the next byte n − 128 times, else n bytes follow."""
+    planes = bytearray()
+    for component in range(1, 5):
+        while (missing := component * length - len(planes)) > 0:
+            code = data[at]
+            run = code - 128 if code > 128 else code
+            if not 0 < run <= missing:
+                raise IndexError
+            if code > 128:
+                planes += data[at + 1 : at + 2] * run
+                at += 2
+            else:
+                planes += data[at + 1 : at + 1 + run]
+                at += 1 + run
+            if at > len(data):
+                raise IndexError
+    return np.frombuffer(planes, np.uint8).reshape(4, length).T.tobytes(), at
+
+
+def _decode_pixels(data: bytes, at: int, length: int) -> tuple[bytes, int]:
+    """One scanline of plain pixels; 1, 1, 1, n among them repeats, and repeats in a row are digits to base 256."""
+    flat = np.frombuffer(data[at : at + 4 * length], np.uint8)
+    if flat.size == 4 * length and not (flat.reshape(-1, 4)[:, :3] == 1).all(axis=1).any():
+        return flat.tobytes(), at + 4 * length
+    pixels, shift = bytearray(), 0
+    while (missing := length - len(pixels) // 4) > 0:
+        pixel = data[at : at + 4]
+        at += 4
+        if len(pixel) < 4:
+            raise IndexError
+        if pixel[:3] != b"\1\1\1":
+            pixels += pixel
+            shift = 0
+            continue
+        run = pixel[3] << shift
+        if run > missing or not pixels or shift > 24:
+            raise IndexError
+        pixels += pixels[-4:] * run
+        shift += 8
+    return bytes(pixels), at
+
+
+def _to_rgbe(rgb: np.ndarray) -> np.ndarray:
+    """uint8 `[h, w, 4]`, mantissas rounded to nearest."""
+    largest = np.ldexp(255.0, 255 - 136)
+    rgb = np.clip(np.nan_to_num(rgb.astype(np.float32), nan=0.0, posinf=largest, neginf=0.0), 0.0, largest)
+    peak = rgb.max(axis=-1)
+    exponent = np.frexp(peak)[1]  # peak = m·2^exponent with m in [0.5, 1), hence a mantissa in [128, 256)
+    exponent += np.rint(np.ldexp(peak, 8 - exponent)) > 255
+    mantissa = np.rint(np.ldexp(rgb, 8 - exponent[..., None]))
+    stored = exponent + 128
+    rgbe = np.concatenate([mantissa, stored[..., None]], axis=-1)
+    return np.where((stored > 0)[..., None] & (peak > 0)[..., None], rgbe, 0).astype(np.uint8)
+
+
+def _encode_component(values: bytes) -> bytes:
+    """Runs of four bytes or more become (128 + n, byte), the rest (n, bytes)."""
+    coded, at = bytearray(), 0
+    for run in re.finditer(rb"(.)\1{3,126}", values, re.DOTALL):
+        coded += _literals(values[at : run.start()])
+        coded += bytes((128 + len(run[0]), run[0][0]))
+        at = run.end()
+    return bytes(coded + _literals(values[at:]))
+
+
+def _literals(values: bytes) -> bytes:
+    return b"".join(bytes((len(part),)) + part for i in range(0, len(values), 128) if (part := values[i : i + 128]))

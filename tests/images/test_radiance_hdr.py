@@ -1,0 +1,157 @@
+import contextlib
+
+import numpy as np
+import pytest
+
+from jaxrelight.errors import InputError
+from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
+from tests.shared_data import shared
+
+LIMIT = 2**27
+HEADER = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n"
+
+
+def _pixels(height=20, width=30):
+    random = np.random.default_rng(0)
+    return (random.random((height, width, 3)) * np.exp(random.uniform(-20, 20, (height, width, 1)))).astype(np.float32)
+
+
+def _decode(data, limit=LIMIT):
+    return decode_radiance(data, "sky.hdr", limit)
+
+
+def _flat(rgbe):
+    """Bytes of one row of pixels, and their values."""
+    rgbe = np.asarray(rgbe, np.uint8)
+    return rgbe.tobytes(), rgbe[:, :3] * np.exp2(rgbe[:, 3:].astype(float) - 136)
+
+
+@pytest.mark.parametrize("width", [1, 7, 8, 30, 300])
+def test_round_trip_is_within_half_a_step(width):
+    pixels = _pixels(width=width)
+    back = _decode(encode_radiance(pixels))
+    assert back.dtype == np.float32
+    assert np.all(np.abs(back - pixels) <= pixels.max(axis=-1, keepdims=True) / 256 * (1 + 1e-6))
+
+
+def test_encoding_what_was_decoded_changes_nothing():
+    once = _decode(encode_radiance(_pixels()))
+    np.testing.assert_array_equal(_decode(encode_radiance(once)), once)
+
+
+def test_runs_are_coded_and_kept():
+    pixels = np.repeat(_pixels(4, 5), [1, 3, 4, 127, 400], axis=1)
+    data = encode_radiance(pixels)
+    assert len(data) < pixels[..., 0].size * 4 / 5
+    np.testing.assert_array_equal(_decode(data)[:, [0, 200]], _decode(encode_radiance(pixels[:, [0, 200]])))
+
+
+def test_extremes():
+    row = [1e5, 3.4e38, np.inf, 0.0, -1.0, np.nan, 1e-45, 0.99999]
+    back = _decode(encode_radiance(np.repeat(np.array(row, np.float32)[None, :, None], 3, axis=2)))[0, :, 0]
+    np.testing.assert_allclose(back, [1e5, 255 * 2.0**119, 255 * 2.0**119, 0, 0, 0, 0, 1], rtol=1 / 256)
+
+
+def test_alpha_is_left_out():
+    pixels = np.ones((3, 9, 4), np.float32)
+    assert _decode(encode_radiance(pixels)).shape == (3, 9, 3)
+
+
+@pytest.mark.parametrize("first_line", [b"#?RADIANCE\n", b"#?RGBE\n", b"# a comment\n", b"", b"#?RADIANCE\r\n"])
+def test_headers_with_and_without_a_first_line(first_line):
+    data, values = _flat([[128, 64, 32, 129], [255, 0, 1, 130]])
+    np.testing.assert_allclose(_decode(first_line + b"FORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 2\n" + data), [values])
+
+
+def test_exposure_and_colour_correction_are_divided_out():
+    data, values = _flat([[128, 64, 32, 129]])
+    header = (
+        b"#?RADIANCE\nEXPOSURE=2\nSOFTWARE=x\nEXPOSURE= 4.0 \nCOLORCORR=1 2 0.5\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n"
+    )
+    np.testing.assert_allclose(_decode(header + data), [values / [8, 16, 4]])
+
+
+@pytest.mark.parametrize(
+    ("resolution", "arrange"),
+    [
+        (b"-Y 2 +X 3", lambda a: a.reshape(2, 3, 3)),
+        (b"+Y 2 +X 3", lambda a: a.reshape(2, 3, 3)[::-1]),
+        (b"-Y 2 -X 3", lambda a: a.reshape(2, 3, 3)[:, ::-1]),
+        (b"+Y 2 -X 3", lambda a: a.reshape(2, 3, 3)[::-1, ::-1]),
+        (b"+X 2 -Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)),
+        (b"+X 2 +Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)[::-1]),
+        (b"-X 2 -Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)[:, ::-1]),
+        (b"-X 2 +Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)[::-1, ::-1]),
+    ],
+)
+def test_all_orientations(resolution, arrange):
+    data, values = _flat([[128 + i, 2 * i, 3, 129] for i in range(6)])
+    np.testing.assert_allclose(_decode(HEADER + resolution + b"\n" + data), arrange(values))
+
+
+def test_old_run_length_coding():
+    pixel, other = [128, 64, 32, 129], [200, 0, 0, 128]
+    coded, _ = _flat([pixel, [1, 1, 1, 2], [1, 1, 1, 1], other])  # 2 + 1·256 repeats
+    _, values = _flat([pixel] * 259 + [other])
+    np.testing.assert_allclose(_decode(HEADER + b"-Y 1 +X 260\n" + coded), [values])
+
+
+def test_flat_scanlines_beside_coded_ones():
+    pixels = _decode(encode_radiance(_pixels(1, 30)))
+    data = encode_radiance(pixels)
+    body = data[data.index(b"+X 30\n") + 6 :]
+    flat, values = _flat([[128 + i, i, 0, 120] for i in range(30)])
+    np.testing.assert_allclose(_decode(HEADER + b"-Y 3 +X 30\n" + body + flat + body), [pixels[0], values, pixels[0]])
+
+
+@pytest.mark.parametrize("width", [5, 30])
+def test_cut_anywhere_is_refused(width):
+    whole = encode_radiance(_pixels(4, width))
+    for length in range(len(whole)):
+        with pytest.raises(InputError, match=r"sky\.hdr: .*; "):
+            _decode(whole[:length])
+
+
+def test_damage_is_refused_or_read_never_worse():
+    whole, random = encode_radiance(_pixels()), np.random.default_rng(1)
+    for _ in range(200):
+        damaged = bytearray(whole)
+        for position in random.integers(0, random.choice([60, len(whole)]), 3):
+            damaged[position] = random.integers(256)
+        with contextlib.suppress(InputError):
+            assert _decode(bytes(damaged), 2**20).dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("data", "complaint"),
+    [
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\n\0\0\0\0", "32-bit_rle_xyze"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0", "does not start like one"),
+        (b"hello\n\n-Y 1 +X 1\n\0\0\0\0", "neither"),
+        (b"#?RADIANCE\nEXPOSURE=bright\n\n-Y 1 +X 1\n\0\0\0\0", "EXPOSURE"),
+        (b"#?RADIANCE\nEXPOSURE=0\n\n-Y 1 +X 1\n\0\0\0\0", "not a positive number"),
+        (b"#?RADIANCE\nCOLORCORR=1 2\n\n-Y 1 +X 1\n\0\0\0\0", "COLORCORR"),
+        (HEADER + b"-Y 1 +Y 1\n\0\0\0\0", "resolution"),
+        (HEADER + b"-Y 0 +X 1\n", "0 pixels|1x0 pixels"),
+        (HEADER + b"-Y 65536 +X 65536\n", "65536x65536"),
+        (HEADER + b"-Y 999999999 +X 999999999\n", "999999999x999999999"),
+        (HEADER + b"-Y 10000 +X 10000\n" + b"\2\2\x27\x10", "scanline 1 of 10000"),
+        (HEADER + b"-Y 1 +X 8\n" + b"\2\2\0\x09" + bytes(64), "scanline 1 of 1"),
+        (HEADER + b"-Y 1 +X 8\n" + b"\2\2\0\x08" + b"\x89\0" * 4, "scanline 1 of 1"),
+        (HEADER + b"-Y 1 +X 8\n" + b"\2\2\0\x08" + bytes(64), "scanline 1 of 1"),
+        (HEADER + b"-Y 1 +X 8\n" + b"\1\1\1\2" + bytes(64), "scanline 1 of 1"),
+        (HEADER + b"-Y 1 +X 8\n" + b"\5\5\5\x80\1\1\1\x09" + bytes(64), "scanline 1 of 1"),
+    ],
+)
+def test_what_is_wrong_is_named(data, complaint):
+    with pytest.raises(InputError, match=complaint):
+        _decode(data)
+
+
+def test_published_pictures():
+    for name, shape in (("probulator_uffizi", (128, 256, 3)), ("mitsuba_principled_envmap", (512, 1024, 3))):
+        pixels = _decode(shared("data", "env", f"{name}.hdr").read_bytes())
+        assert pixels.shape == shape
+        assert np.isfinite(pixels).all()
+        assert pixels.min() >= 0
+        np.testing.assert_array_equal(_decode(encode_radiance(pixels)), pixels)
