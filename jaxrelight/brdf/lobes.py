@@ -1,0 +1,100 @@
+"""Lambert, Phong and Lafortune: one constant and a sum of cosine lobes (Lafortune 1997; McAllister 2002 eq. 2)."""
+
+import math
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight import safe
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.errors import InputError
+
+
+class LobeSum(Brdf):
+    """f = diffuse/π + Σ_l scale_l · max(0, ω_oᵀ C_l ω_i)^exponent_l with diagonal C.
+
+    C and exponent have one entry per channel, or a single one shared by all. `lobe` builds lobes in which max|C| = 1:
+    then the power is at most 1 and neither overflows nor underflows to nothing at any exponent.
+    """
+
+    diffuse: Float[Array, " c"]
+    C: Float[Array, "l c1 3"]
+    exponent: Float[Array, "l c1"]
+    scale: Float[Array, "l c"]
+
+    def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
+        """f(ω_i, ω_o) of every channel."""
+        if self.is_constant:
+            return self.diffuse / math.pi
+        dot = sum(self.C[..., axis] * (omega_i[axis] * omega_o[axis]) for axis in range(3))
+        return self.diffuse / math.pi + jnp.sum(self.scale * safe.power(dot, self.exponent), axis=0)
+
+    @property
+    def is_constant(self) -> bool:
+        """True without lobes."""
+        return self.C.shape[0] == 0
+
+
+def lambert(albedo) -> LobeSum:
+    """Albedo/π in every direction; albedo per channel."""
+    return lobe_sum(albedo, [])
+
+
+def phong(diffuse, specular, exponent) -> LobeSum:
+    """diffuse/π + specular·(n + 2)/(2π)·max(0, cos α)ⁿ, α from the mirror direction: C = (−1, −1, 1)."""
+    n = np.asarray(exponent, float)
+    scale = (n + 2) / (2 * np.pi) * np.asarray(specular, float)
+    return lobe_sum(diffuse, [lobe([-1, -1, 1], exponent, specular=scale)])
+
+
+def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One Lafortune lobe: specular·max(0, ω_oᵀCω_i)ⁿ, or peak·max(0, ω_oᵀCω_i / max|C|)ⁿ.
+
+    Args:
+        C: three numbers, or three for every channel.
+        exponent: n ≥ 0, one number or one per channel.
+        specular: factor of the lobe as it is written in the literature, one number or one per channel.
+        peak: factor of the lobe normalised by max|C|: the form for large exponents, where max|C|ⁿ leaves the floats.
+
+    Returns:
+        (C [c1, 3] with max|C| = 1 in each channel, exponent [c1], scale [c]) in float64.
+
+    Raises:
+        InputError: if neither or both factors are given, or max|C|ⁿ · specular is no finite number.
+    """
+    if (specular is None) == (peak is None):
+        raise InputError("a lobe needs exactly one of 'specular' and 'peak'")
+    C = np.atleast_2d(np.asarray(C, float))
+    n = np.broadcast_to(np.atleast_1d(np.asarray(exponent, float)), (max(len(C), np.size(exponent)),))
+    if (n < 0).any():
+        raise InputError("a lobe's exponent must be at least 0")
+    C = np.broadcast_to(C, (len(n), 3))
+    largest = np.abs(C).max(axis=-1)
+    normal = np.where(largest[:, None] > 0, C / np.where(largest > 0, largest, 1)[:, None], 0)
+    if peak is not None:
+        return normal, n, np.atleast_1d(np.asarray(peak, float))
+    with np.errstate(over="ignore", divide="ignore"):
+        scale = np.asarray(specular, float) * np.exp(n * np.log(np.where(largest > 0, largest, 1)))
+    if not (np.abs(scale) < np.finfo(np.float32).max).all():
+        raise InputError("a lobe's specular · max|C|^exponent is too large; give 'peak', its value at the peak, instead")
+    return normal, n, np.atleast_1d(scale)
+
+
+def lobe_sum(diffuse, lobes, dtype=jnp.float32) -> LobeSum:
+    """A BRDF of a diffuse albedo and lobes made by `lobe`; single numbers are spread over the channels."""
+    diffuse = np.atleast_1d(np.asarray(diffuse, float))
+    channels = max([3, diffuse.size, *(part.size for _, n, scale in lobes for part in (n, scale))])
+    shared = all(len(n) == 1 for _, n, _ in lobes)
+    width = 1 if shared else channels
+
+    def stack(parts, *shape):
+        spread = [np.broadcast_to(part, shape) for part in parts]
+        return jnp.asarray(np.stack(spread) if spread else np.zeros((0, *shape)), dtype)
+
+    return LobeSum(
+        diffuse=jnp.asarray(np.broadcast_to(diffuse, (channels,)), dtype),
+        C=stack([C for C, _, _ in lobes], width, 3),
+        exponent=stack([n for _, n, _ in lobes], width),
+        scale=stack([scale for _, _, scale in lobes], channels),
+    )

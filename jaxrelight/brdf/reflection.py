@@ -1,0 +1,61 @@
+"""What baking and viewing need of a material: a light side and a view side."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrelight.brdf.contract import Brdf
+
+
+class Reflection(eqx.Module):
+    """A sum of k products f(ω_i, ω_o) ≈ Σ_k light_side_k(ω_i) · view_side_k(ω_o) (Wang 2006 eq. 1), per channel.
+
+    Transport bakes the light side; radiance is Σ_k view_side_k · (T x)_k. Both sides take one local direction above
+    the surface.
+    """
+
+    @property
+    @abc.abstractmethod
+    def terms(self) -> int:
+        """k, the number of products."""
+
+    @abc.abstractmethod
+    def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
+        """The factors of the incident direction."""
+
+    @abc.abstractmethod
+    def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
+        """The factors of the outgoing direction."""
+
+    @property
+    @abc.abstractmethod
+    def per_receiver(self) -> "Reflection":
+        """A reflection (or a prefix of one) of booleans: True for arrays of which each receiver has its own."""
+
+
+class FixedView(Reflection):
+    """The exact BRDF for receivers whose direction to the eye is known: one term, all of it on the light side."""
+
+    brdf: Brdf
+    omega_o: Float[Array, "*v 3"]
+
+    @property
+    def terms(self) -> int:
+        """One."""
+        return 1
+
+    def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "1 c"]:
+        """f(ω_i, ω_o) itself; 0 where the eye is below the surface."""
+        value = self.brdf.evaluate(omega_i, self.omega_o)
+        return jnp.where(self.omega_o[2] > 0, value, 0)[None]
+
+    def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:
+        """One: the view is in the transport already."""
+        return jnp.ones((1, 1), self.omega_o.dtype)
+
+    @property
+    def per_receiver(self) -> "FixedView":
+        """Every receiver has its own ω_o; all share the BRDF."""
+        return FixedView(False, True)  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,55 @@
+"""The perspective camera."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxrelight.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """A pinhole camera in world space.
+
+    Attributes:
+        origin: position of the eye.
+        target: a point that the image centre shows.
+        up: the direction that is upwards in the image.
+        fov_y: vertical field of view in degrees.
+        width: pixels in a row.
+        height: rows.
+    """
+
+    origin: Sequence[float]
+    target: Sequence[float]
+    up: Sequence[float] = (0.0, 1.0, 0.0)
+    fov_y: float = 38.0
+    width: int = 512
+    height: int = 512
+
+    def __post_init__(self):
+        values = np.array([*self.origin, *self.target, *self.up, self.fov_y], float)
+        if values.shape != (10,) or not np.isfinite(values).all():
+            raise InputError("the camera's origin, target and up need three finite numbers each, fov_y one")
+        if not 0 < self.fov_y < 180:
+            raise InputError(f"the camera's fov_y is {self.fov_y}; it must lie between 0 and 180 degrees")
+        if self.width < 1 or self.height < 1:
+            raise InputError(f"the camera's image is {self.width} × {self.height} pixels; it needs at least one")
+        forward = np.subtract(self.target, self.origin)
+        if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(self.up):
+            raise InputError("the camera's view direction and up must not be parallel, nor origin equal target")
+
+    def directions(self) -> Float[np.ndarray, "h w 3"]:
+        """Unit world directions through the pixel centres, the top row first."""
+        forward = np.subtract(self.target, self.origin)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, np.asarray(self.up, float))
+        right /= np.linalg.norm(right)
+        up = np.cross(right, forward)
+        half = np.tan(np.radians(self.fov_y) / 2)
+        x = ((np.arange(self.width) + 0.5) * 2 - self.width) / self.height * half
+        y = (1 - (np.arange(self.height) + 0.5) * 2 / self.height) * half
+        ray = forward + x[None, :, None] * right + y[:, None, None] * up
+        return ray / np.linalg.norm(ray, axis=-1, keepdims=True)

@@ -1,0 +1,18 @@
+"""The tangent frame of a shading normal (Wang 2006 §3.3.2)."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrelight import safe
+
+
+def tangent_frame(normal: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
+    """Rows tangent s, binormal t = n × s and normal n, so that `frame @ world` is a local direction.
+
+    From the stereographic projection of the sphere of normals: smooth everywhere but at n = −y, where s = +x.
+    """
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    s = jnp.stack([(y + 1) ** 2 + z**2 - x**2, -2 * (y + 1) * x, -2 * x * z], axis=-1)
+    opposite = safe.norm(s) <= 1e-6
+    s = safe.normalize(jnp.where(opposite[..., None], jnp.asarray([1.0, 0.0, 0.0], s.dtype), s))
+    return jnp.stack([s, jnp.cross(normal, s), normal], axis=-2)

@@ -1,0 +1,62 @@
+"""What a camera sees: the surface point of every pixel."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import Tracer
+
+
+@dataclasses.dataclass(frozen=True)
+class GBuffer:
+    """Surface points seen through the centres of pixels that see any, and all pixels' directions.
+
+    Attributes:
+        covered: which pixels, row by row, see a surface; their points follow in that order.
+        directions: unit world direction through every pixel.
+        corners: vertex numbers of the face seen.
+        barycentric: weights of its corners.
+        normals: interpolated unit shading normals.
+        face_normals: unit geometric normals.
+        positions: in scene space.
+        mesh: number of the mesh seen.
+        omega_o: unit direction back to the eye.
+    """
+
+    covered: Bool[np.ndarray, "h w"]
+    directions: Float[np.ndarray, "h w 3"]
+    corners: Int[np.ndarray, "p 3"]
+    barycentric: Float[np.ndarray, "p 3"]
+    positions: Float[np.ndarray, "p 3"]
+    normals: Float[np.ndarray, "p 3"]
+    face_normals: Float[np.ndarray, "p 3"]
+    mesh: Int[np.ndarray, " p"]
+    omega_o: Float[np.ndarray, "p 3"]
+
+
+def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer:
+    """One ray through every pixel's centre."""
+    directions = camera.directions()
+    flat = directions.reshape(-1, 3)
+    origin = np.broadcast_to(surfaces.to_scene(np.asarray(camera.origin)), flat.shape)
+    face, weights = tracer.first_hits(origin, flat)
+    covered = face >= 0
+    face, weights = face[covered], weights[covered]
+    corners = surfaces.faces[face]
+    normal = np.einsum("pk,pkx->px", weights, surfaces.normals[corners])
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    face_normal = surfaces.face_normals()[face]
+    return GBuffer(
+        covered=covered.reshape(directions.shape[:2]),
+        directions=directions,
+        corners=corners,
+        barycentric=weights,
+        positions=np.einsum("pk,pkx->px", weights, surfaces.vertices[corners]),
+        normals=np.where(length > 1e-9, normal / np.maximum(length, 1e-9), face_normal),
+        face_normals=face_normal,
+        mesh=surfaces.mesh_of_vertex[corners[:, 0]],
+        omega_o=-flat[covered],
+    )

@@ -1,0 +1,106 @@
+"""The points for which transport is precomputed, and the groups in which it is."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxrelight.geometry.gbuffer import GBuffer
+from jaxrelight.geometry.surfaces import Surfaces
+
+# Receivers of a group: the unit of tracing, baking, storing and resuming.
+GROUP = 128
+
+
+@dataclasses.dataclass(frozen=True)
+class Receivers:
+    """Surface points in scene space, in groups of GROUP that are close to each other and of one material.
+
+    A material's groups follow each other; its last one is filled up with copies of its first receiver, which nobody
+    reads. `slot_of` says where the i-th vertex or covered pixel went.
+
+    Attributes:
+        positions: in scene space, on the surface.
+        normals: unit shading normals.
+        face_normals: unit normals along which ray origins are lifted.
+        omega_o: unit world direction to the eye for pixels, None for vertices.
+        material_of_group: number of each group's material.
+        filled: receivers of each group that are not copies.
+        slot_of: place in the flattened groups of each vertex or covered pixel.
+    """
+
+    positions: Float[np.ndarray, "g m 3"]
+    normals: Float[np.ndarray, "g m 3"]
+    face_normals: Float[np.ndarray, "g m 3"]
+    omega_o: Float[np.ndarray, "g m 3"] | None
+    material_of_group: Int[np.ndarray, " g"]
+    filled: Int[np.ndarray, " g"]
+    slot_of: Int[np.ndarray, " v"]
+
+    @property
+    def count(self) -> int:
+        """Receivers, copies not counted."""
+        return len(self.slot_of)
+
+
+def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
+    """Every vertex: the view stays free."""
+    normals = surfaces.normals
+    material = np.asarray(material_of_mesh)[surfaces.mesh_of_vertex]
+    return _grouped(surfaces.vertices, normals, _vertex_face_normals(surfaces), None, material)
+
+
+def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
+    """Every covered pixel: the view is fixed and the BRDF exact."""
+    material = np.asarray(material_of_mesh)[gbuffer.mesh]
+    return _grouped(gbuffer.positions, gbuffer.normals, gbuffer.face_normals, gbuffer.omega_o, material)
+
+
+def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
+    """Area-weighted mean of the geometric normals around each vertex; the shading normal where they cancel."""
+    corners = surfaces.vertices[surfaces.faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.zeros_like(surfaces.vertices)
+    for corner in range(3):
+        for axis in range(3):
+            total[:, axis] += np.bincount(surfaces.faces[:, corner], area[:, axis], len(total))
+    length = np.linalg.norm(total, axis=-1, keepdims=True)
+    return np.where(length > 0, total / np.where(length > 0, length, 1), surfaces.normals)
+
+
+def _grouped(positions, normals, face_normals, omega_o, material) -> Receivers:
+    order = np.lexsort((_morton(positions), material))
+    members, material_of_group, filled = [], [], []
+    for number in np.unique(material):
+        mine = order[material[order] == number]
+        groups = -(-len(mine) // GROUP)
+        members.append(np.concatenate([mine, np.full(groups * GROUP - len(mine), mine[0])]))
+        material_of_group += [number] * groups
+        filled += [GROUP] * (groups - 1) + [len(mine) - (groups - 1) * GROUP]
+    member = np.concatenate(members) if members else np.zeros(0, np.int64)
+    slot_of = np.zeros(len(positions), np.int64)
+    # Backwards, so that a receiver's own slot overwrites those of its copies, which come later.
+    slot_of[member[::-1]] = np.arange(len(member))[::-1]
+
+    def pick(values):
+        return values[member].reshape(-1, GROUP, 3)
+
+    return Receivers(
+        positions=pick(positions),
+        normals=pick(normals),
+        face_normals=pick(face_normals),
+        omega_o=None if omega_o is None else pick(omega_o),
+        material_of_group=np.array(material_of_group, np.int64),
+        filled=np.array(filled, np.int64),
+        slot_of=slot_of,
+    )
+
+
+def _morton(positions: np.ndarray) -> np.ndarray:
+    """Place along a Z-shaped curve through [−1, 1]³, in steps of 2/1,024."""
+    cell = ((positions + 1) * 512).astype(np.int64).clip(0, 1023)
+    code = np.zeros(len(cell), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code

@@ -1,0 +1,1 @@
+"""From geometry and materials to transport operators."""

@@ -1,0 +1,190 @@
+"""Transport rows from visibility and reflection: pure, jit-compiled, one group of receivers at a time.
+
+A row is light side × visibility × cosine × solid angle over the texels of a cube map (Wang 2006 eq. 3), written in
+a basis. Nothing else of the scene is needed, so a material is changed, or differentiated, by baking again.
+
+Axes: m receivers of a group, k terms, c channels, d texels (of the cube map that light is given on), f the texels
+that were traced: d times the visibility samples of a texel.
+"""
+
+import math
+from typing import Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt8
+
+from jaxrelight.basis import cubemap, truncation
+from jaxrelight.brdf.reflection import Reflection
+
+# Receivers of a block, whose rows should stay in cache, and how many of them one step of a loop takes.
+_BLOCK, _TOGETHER = 8, 4
+
+
+class Basis(Protocol):
+    """A basis of functions on the cube map, orthonormal."""
+
+    def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]: ...  # noqa: D102
+
+
+class Directions(eqx.Module):
+    """The directions that visibility is traced in: samples² for every texel of a cube map.
+
+    Attributes:
+        vectors: unit vectors of a cube map samples times as fine.
+        solid_angles: theirs.
+        samples: traced directions along a side of a texel.
+    """
+
+    vectors: Float[Array, "f 3"]
+    solid_angles: Float[Array, " f"]
+    samples: int = eqx.field(static=True)
+
+    def to_texels(self, traced: Float[Array, "... f"]) -> Float[Array, "... d"]:
+        """Sums what was traced within each texel."""
+        s = self.samples
+        if s == 1:
+            return traced
+        n = round((traced.shape[-1] // 6) ** 0.5) // s
+        split = traced.reshape(*traced.shape[:-1], 6, n, s, n, s)
+        return split.sum(axis=(-3, -1)).reshape(*traced.shape[:-1], 6 * n * n)
+
+
+def directions_for(resolution: int, samples: int = 1, dtype=jnp.float32) -> Directions:
+    """Directions for a 6×resolution² cube map and samples² rays a texel."""
+    fine = resolution * samples
+    vectors, angles = cubemap.directions(fine), cubemap.solid_angles(fine)
+    return Directions(jnp.asarray(np.array(vectors), dtype), jnp.asarray(np.array(angles), dtype), samples)
+
+
+def unpack(bits: UInt8[Array, "... bytes"], dtype) -> Float[Array, "... f"]:
+    """Visibility 0 or 1 from bits, lowest first."""
+    spread = (bits[..., None] >> jnp.arange(8, dtype=jnp.uint8)) & 1
+    return spread.reshape(*bits.shape[:-1], -1).astype(dtype)
+
+
+def _row(
+    bits: UInt8[Array, " bytes"], frame: Float[Array, "3 3"], reflection: Reflection, directions: Directions
+) -> Float[Array, "k c d"]:
+    """Transport of one receiver over the texels."""
+    local = frame @ directions.vectors.T
+    weight = jnp.maximum(local[2], 0) * directions.solid_angles * unpack(bits, frame.dtype)
+    light_side = jax.vmap(reflection.light_side, in_axes=1, out_axes=2)(local)
+    return directions.to_texels(light_side * weight)
+
+
+def _map_blocks(function, bits, frames, reflection, directions, more=(), each=lambda row: row):
+    """Applies function(rows, *more) to blocks of b receivers, rows being the stacked each(row [k, c, d]).
+
+    The rows are made by a loop of their own, since XLA would fuse, that is repeat, their making into every use.
+    Results lead with the axes m/b, b.
+    """
+    own, shared = eqx.partition(reflection, reflection.per_receiver)
+
+    def row(receiver):
+        bits, frame, own = receiver
+        return each(_row(bits, frame, eqx.combine(own, shared), directions))
+
+    @jax.checkpoint
+    def block(arguments):
+        receivers, more = arguments
+        return function(jax.lax.map(row, receivers, batch_size=_TOGETHER), *more)
+
+    m = len(bits)
+    size = math.gcd(m, _BLOCK)
+    blocks = jax.tree.map(lambda x: x.reshape(m // size, size, *x.shape[1:]), ((bits, frames, own), more))
+    return jax.lax.map(block, blocks)
+
+
+def _joined(results):
+    """Receivers of all blocks in one axis."""
+    return jax.tree.map(lambda x: x.reshape(x.shape[0] * x.shape[1], *x.shape[2:]), results)
+
+
+def _encoded(basis: Basis, rows: Float[Array, "b k c d"]) -> Float[Array, "b k c d"]:
+    """Rows in a basis, by a loop of their own for the same reason."""
+    return jax.lax.map(basis.encode, rows, batch_size=_TOGETHER)
+
+
+@jax.jit
+def bake_rows(
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: Directions,
+    basis: Basis,
+) -> Float[Array, "m k c d"]:
+    """Whole rows of a few receivers."""
+    return _joined(_map_blocks(lambda rows: _encoded(basis, rows), bits, frames, reflection, directions))
+
+
+@eqx.filter_jit
+def bake_truncated(
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: Directions,
+    basis: Basis,
+    count: int,
+) -> truncation.Truncated:
+    """The `count` largest coefficients of every row; the arrays of the result lead with m, k."""
+
+    def truncate(rows):
+        b, k, c, d = rows.shape
+        kept = truncation.keep_largest(_encoded(basis, rows).reshape(b * k, c, d), count)
+        return jax.tree.map(lambda x: x.reshape(b, k, *x.shape[1:]), kept)
+
+    return _joined(_map_blocks(truncate, bits, frames, reflection, directions))
+
+
+@jax.jit
+def bake_kept(
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: Directions,
+    basis: Basis,
+    indices: Int[Array, "m k n"],
+) -> Float[Array, "m k c n"]:
+    """The coefficients at given indices: differentiable in the reflection, the kept sets held fixed."""
+
+    def pick(rows, kept):
+        return jax.vmap(truncation.gather)(_encoded(basis, rows), kept)
+
+    return _joined(_map_blocks(pick, bits, frames, reflection, directions, (indices.astype(jnp.int32),)))
+
+
+@jax.jit
+def bake_and_apply(
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: Directions,
+    light: Float[Array, "d c"],
+) -> Float[Array, "m k c"]:
+    """Light terms of exact rows, used as they are made: differentiable in reflection and light."""
+    by_channel = light.T
+
+    def terms(row):
+        return jnp.sum(row * by_channel, axis=-1)
+
+    return _joined(_map_blocks(lambda rows: rows, bits, frames, reflection, directions, each=terms))
+
+
+@jax.jit
+def bake_and_transpose(
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: Directions,
+    radiance: Float[Array, "m k c"],
+) -> Float[Array, "d c"]:
+    """The adjoint of `bake_and_apply` in the light."""
+
+    def weighted(rows, y):
+        # Receivers b, terms k, channels c, texels d. The blocks' shares stay apart until all are summed at once.
+        return jnp.einsum("bkcd,bkc->dc", rows, y, precision="highest")
+
+    return jnp.sum(_map_blocks(weighted, bits, frames, reflection, directions, (radiance,)), axis=0)
