@@ -1,0 +1,108 @@
+"""Distant light from a lat-long map."""
+
+import dataclasses
+import pathlib
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight.basis import latlong
+from jaxrelight.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Environment:
+    """A lat-long map of radiance and how it is placed.
+
+    Attributes:
+        pixels: linear Rec.709 radiance, finite and not negative; see `latlong` for the orientation.
+        rotate_y: degrees it is turned about +y, counter-clockwise seen from +y.
+        scale: factor on the radiance.
+        notes: one line for everything that was mended.
+    """
+
+    pixels: Float[np.ndarray, "h w 3"]
+    rotate_y: float = 0.0
+    scale: float = 1.0
+    notes: tuple[str, ...] = ()
+
+
+def environment(
+    pixels: Float[np.ndarray, "h w c"],
+    rotate_y: float = 0.0,
+    scale: float = 1.0,
+    *,
+    zero_nonfinite: bool = False,
+    name: str = "the environment",
+) -> Environment:
+    """An environment from pixels: negative ones are clamped and counted, NaN and infinite ones refused.
+
+    Args:
+        pixels: lat-long radiance; a fourth channel is ignored.
+        rotate_y: see `Environment`.
+        scale: see `Environment`.
+        zero_nonfinite: set NaN and infinite pixels to 0 and count them, instead.
+        name: what messages call it.
+
+    Raises:
+        InputError: for another shape than [h, 2h, 3 or 4], or pixels that are not finite.
+    """
+    pixels = np.asarray(pixels, np.float32)
+    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.shape[1] != 2 * pixels.shape[0]:
+        raise InputError(f"{name} has shape {pixels.shape}; a lat-long map is h × 2h pixels of three channels")
+    if not (np.isfinite(rotate_y) and np.isfinite(scale) and scale >= 0):
+        raise InputError(f"{name}: rotate_y must be finite and scale finite and not negative")
+    pixels, notes = pixels[..., :3], []
+    bad = ~np.isfinite(pixels).all(axis=-1)
+    if bad.any():
+        if not zero_nonfinite:
+            row, column = np.argwhere(bad)[0]
+            raise InputError(
+                f"{name} has {bad.sum():,} NaN or infinite pixels, the first in row {row}, column {column}; "
+                "repair the file, or ask for them to be zeroed"
+            )
+        pixels = np.where(bad[..., None], 0, pixels)
+        notes.append(f"{name}: {bad.sum():,} NaN or infinite pixels were set to 0")
+    negative = (pixels < 0).any(axis=-1)
+    if negative.any():
+        notes.append(f"{name}: {negative.sum():,} pixels had negative channels, clamped to 0")
+        pixels = np.maximum(pixels, 0)
+    return Environment(np.ascontiguousarray(pixels), float(rotate_y), float(scale), tuple(notes))
+
+
+def load_environment(
+    path: str | pathlib.Path, rotate_y: float = 0.0, scale: float = 1.0, *, zero_nonfinite: bool = False
+) -> Environment:
+    """An environment from an image file; see `environment`."""
+    from jaxrelight.images import read_image
+
+    return environment(
+        read_image(path), rotate_y, scale, zero_nonfinite=zero_nonfinite, name=pathlib.Path(path).name
+    )
+
+
+def coarsened(pixels: Float[np.ndarray, "h w 3"], resolution: int) -> Float[np.ndarray, "h w 3"]:
+    """The map halved, by area, until its pixels are a quarter of the texels of a 6×resolution² cube map, or larger.
+
+    Finer pixels change nothing that a texel's mean could show.
+    """
+    pixels = np.asarray(pixels, np.float32)
+    while pixels.shape[1] >= 32 * resolution and pixels.shape[0] % 2 == 0:
+        area = latlong.solid_angles(*pixels.shape[:2]).astype(np.float32)[:, None, None]
+        pairs = (pixels * area)[0::2] + (pixels * area)[1::2]
+        pairs /= area[0::2] + area[1::2]
+        pixels = (pairs[:, 0::2] + pairs[:, 1::2]) / 2
+    return pixels
+
+
+def encode(
+    pixels: Float[Array, "h w c"],
+    rotate_y: Float[Array, ""],
+    scale: Float[Array, ""],
+    resampling: latlong.AreaResampling,
+    basis,
+) -> Float[Array, "d c"]:
+    """The light vector of a map: rotation → cube map → basis (Wang 2006 §4.3). Pure, differentiable in all numbers."""
+    texels = resampling.apply(latlong.rotate(pixels, rotate_y))
+    return basis.encode(texels.T).T * jnp.asarray(scale, texels.dtype)
