@@ -1,0 +1,1 @@
+"""Meshes, cameras, rays and what they hit."""

@@ -1,0 +1,199 @@
+"""Repair of triangle meshes where no guess is needed, and a count of every change."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.mesh_files import RawMesh
+
+LARGEST_COORDINATE = 1e30  # float32 ends at 3e38, and areas square what they are given
+FLAT = 1e-12  # a triangle lower than this part of its longest side is no surface
+ROUNDING = 1e-15  # nor is one lower than what float64 resolves at its place
+
+
+def repaired(raw: RawMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Drops unusable faces, merges identical vertices, orients faces alike and completes the normals.
+
+    Returns:
+        Vertices, faces, unit normals, and one line for each change made or doubt left.
+
+    Raises:
+        InputError: no face, or more than half of the faces unusable.
+    """
+    vertices, faces, lost = raw.vertices, raw.faces, dict(raw.lost)
+    total = len(faces) + sum(lost.values())
+    if total == 0:
+        what = "points or lines only, no faces" if len(vertices) else "empty, no vertices and no faces"
+        raise InputError(f"{what}; export a triangle mesh")
+
+    def drop(reason: str, good: Bool[np.ndarray, " f"]) -> Int[np.ndarray, "g 3"]:
+        lost[reason] = lost.get(reason, 0) + int((~good).sum())
+        return faces[good]
+
+    faces = drop("index out of range", ((faces >= 0) & (faces < len(vertices))).min(axis=1))
+    referenced = np.unique(faces)
+    sound = np.less_equal(np.abs(vertices).max(axis=1, initial=0), LARGEST_COORDINATE)  # false for NaN
+    faces = drop("NaN, infinite or beyond 1e30", sound[faces].min(axis=1))
+    faces = drop("zero area", _has_area(vertices[faces]))
+    place = _unique_rows(vertices)[1]
+    faces = drop("repeated", _first_of_kind(place[faces]))
+    lost = {reason: count for reason, count in lost.items() if count}
+    gone = sum(lost.values())
+    if 2 * gone > total or not len(faces):
+        reasons = ", ".join(f"{reason}: {count:,}" for reason, count in lost.items())
+        raise InputError(f"{gone:,} of {total:,} faces are unusable ({reasons}); repair it in a mesh editor")
+    notes = [*raw.notes, *(f"dropped {count:,} of {total:,} faces: {reason}" for reason, count in lost.items())]
+
+    used = np.unique(faces)
+    if len(used) < len(referenced):
+        notes.append(f"dropped {len(referenced) - len(used):,} vertices that only dropped faces used")
+    usable = raw.stated & np.isfinite(raw.normals).all(axis=1)
+    given = unit(np.where(usable[:, None], raw.normals, 0.0), np.zeros(3))  # zero where the file has none
+    first, same = _unique_rows(np.column_stack([vertices, raw.seams, np.round(given * 100)])[used])
+    rank = np.argsort(first)  # vertices keep the order of the file
+    number = np.empty(len(vertices), np.int64)
+    number[used] = np.argsort(rank)[same]
+    source = used[first[rank]]
+    vertices, faces, given = vertices[source], number[faces], given[source]
+
+    faces, doubts = _wound_alike(vertices, faces, given)
+    notes += doubts
+    missing = np.equal(np.abs(given).max(axis=1, initial=0), 0)
+    if (missing & raw.stated[source]).any():
+        notes.append(f"normals computed for {(missing & raw.stated[source]).sum():,} vertices: the file's are unusable")
+    if _faces_inward(vertices, _unique_rows(vertices)[1][faces], faces):
+        notes.append("closed mesh faces inward: surfaces are one-sided, so it will look black")
+    normals = np.where(missing[:, None], _angle_weighted(vertices, faces), given)
+    return vertices, np.ascontiguousarray(faces), normals, tuple(notes)
+
+
+def _has_area(corners: Float[np.ndarray, "f 3 3"]) -> Bool[np.ndarray, " f"]:
+    """Whether triangles are higher than rounding of their coordinates can explain."""
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0)
+    reach = np.abs(corners).max(axis=(1, 2), initial=0)
+    return np.linalg.norm(area_vectors(corners), axis=1) > longest * np.maximum(FLAT * longest, ROUNDING * reach)
+
+
+def _first_of_kind(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
+    """Marks all but repetitions: the same three corners in the same turning direction."""
+    turned = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    first = np.zeros(len(faces), bool)
+    first[_unique_rows(turned)[0]] = True
+    return first
+
+
+def _wound_alike(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], file_normals: Float[np.ndarray, "v 3"]
+) -> tuple[Int[np.ndarray, "f 3"], list[str]]:
+    """Turns faces so that neighbours run along their common edge in opposite directions, and tells how many.
+
+    Only edges of exactly two faces count, and only connected pieces with a contradiction are touched. Such a piece
+    keeps the side of the file's normals, else of the clear majority of its area, else of its outside.
+    """
+    left, right, alike = _neighbours(faces)
+    if not alike.any():
+        return faces, []
+    count = len(faces)
+    # A spanning tree that prefers agreeing neighbours (weight 1) to contradicting ones (2) can always be made
+    # consistent. In its double cover, nodes f (as is) and f + count (turned), a face's two states lie in two parts.
+    pairs, chosen = np.unique(np.stack([left, right], axis=1), axis=0, return_index=True)
+    graph = sparse.coo_matrix((1.0 + alike[chosen], pairs.T), shape=(count, count)).tocsr()
+    piece = csgraph.connected_components(graph, directed=False)[1]
+    tree = csgraph.minimum_spanning_tree(graph).tocoo()
+    turn = np.where(tree.data > 1.5, count, 0)
+    cover = sparse.coo_matrix(
+        (np.ones(2 * tree.nnz), (np.r_[tree.row, tree.row + count], np.r_[tree.col + turn, tree.col + count - turn])),
+        shape=(2 * count, 2 * count),
+    )
+    state = csgraph.connected_components(cover.tocsr(), directed=False)[1]
+    root = np.unique(piece, return_index=True)[1][piece]
+    flip = state[:count] != state[root]
+
+    remaining = alike ^ flip[left] ^ flip[right]
+    better = np.bincount(piece[left], 1.0 * alike) > np.bincount(piece[left], 1.0 * remaining)
+    touched = np.zeros(piece.max() + 1, bool)
+    touched[: len(better)] = better
+    flip &= touched[piece]
+    remaining = alike ^ flip[left] ^ flip[right]
+
+    area = area_vectors(vertices[faces])
+    size = np.linalg.norm(area, axis=1)
+    sign = np.where(flip, -1.0, 1.0)
+    total = np.bincount(piece, size)
+    middle = vertices[faces].mean(axis=1)
+    centre = np.stack([np.bincount(piece, size * middle[:, k]) for k in range(3)], axis=1) / total[:, None]
+    by_normals = np.bincount(piece, sign * (area * file_normals[faces].sum(axis=1)).sum(axis=1))
+    by_area = np.bincount(piece, sign * size)
+    outward = np.bincount(piece, sign * (area * (middle - centre[piece])).sum(axis=1))
+    vote = np.where(by_normals != 0, by_normals, np.where(np.abs(by_area) > 0.2 * total, by_area, outward))
+    flip ^= (touched & (vote < 0))[piece]
+
+    notes = [f"turned {flip.sum():,} of {count:,} faces: inconsistent winding"] if flip.any() else []
+    if remaining.any():
+        notes.append(f"winding stays inconsistent along {remaining.sum():,} edges: no choice of sides fits them all")
+    return np.where(flip[:, None], faces[:, ::-1], faces), notes
+
+
+def _neighbours(
+    faces: Int[np.ndarray, "f 3"],
+) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+    """Pairs of faces (lower number first) at edges that exactly two share, and whether both run the same way there."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    edge = _unique_rows(np.sort(edges, axis=1))[1]
+    order = np.argsort(edge, kind="stable")
+    two = order[(np.bincount(edge) == 2)[edge[order]]].reshape(-1, 2)
+    rising = edges[:, 0] < edges[:, 1]
+    return two[:, 0] // 3, two[:, 1] // 3, rising[two[:, 0]] == rising[two[:, 1]]
+
+
+def _faces_inward(
+    vertices: Float[np.ndarray, "v 3"], welded: Int[np.ndarray, "f 3"], faces: Int[np.ndarray, "f 3"]
+) -> bool:
+    """Whether a surface is closed, wound consistently and encloses negative volume."""
+    _, right, alike = _neighbours(welded)
+    if 2 * len(right) != 3 * len(faces) or alike.any():
+        return False
+    corners = vertices[faces] - vertices.mean(axis=0)
+    volume = (area_vectors(corners) * corners[:, 0]).sum() / 6
+    return volume < -1e-9 * np.prod(np.ptp(vertices, axis=0))
+
+
+def _angle_weighted(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
+    """Unit vertex normals: face normals weighted by the angle each face has at the vertex."""
+    corners = vertices[faces]
+    area = area_vectors(corners)
+    flat = unit(area, np.array([0.0, 1.0, 0.0]))
+    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    angle = np.arctan2(np.linalg.norm(area, axis=1)[:, None], (ahead * behind).sum(axis=2))
+    weighted = (angle[:, :, None] * flat[:, None]).reshape(-1, 3)
+    summed = np.stack([np.bincount(faces.ravel(), weighted[:, k], len(vertices)) for k in range(3)], axis=1)
+    any_face = np.zeros_like(vertices)
+    any_face[faces.ravel()] = np.repeat(flat, 3, axis=0)
+    cancelled = np.linalg.norm(summed, axis=1) < 1e-9  # a sheet and its back at one vertex
+    return np.where(cancelled[:, None], any_face, unit(summed, any_face))
+
+
+def area_vectors(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
+    """Normals as long as twice the area."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def unit(vectors: Float[np.ndarray, "n 3"], otherwise: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "n 3"]:
+    """Vectors scaled to length one, in two steps so that neither tiny nor huge ones are lost; zeros are replaced."""
+    largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
+    scaled = vectors / np.where(largest > 0, largest, 1.0)
+    length = np.linalg.norm(scaled, axis=1, keepdims=True)
+    return np.where(length > 0, scaled / np.where(length > 0, length, 1.0), otherwise)
+
+
+def _unique_rows(rows: np.ndarray) -> tuple[Int[np.ndarray, " u"], Int[np.ndarray, " n"]]:
+    """Indices of the first of each different row, in ascending order of value, and which of them each row is."""
+    order = np.lexsort(rows.T[::-1])
+    ranked = rows[order]
+    starts = np.ones(len(rows), bool)
+    starts[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
+    inverse = np.empty(len(rows), np.int64)
+    inverse[order] = np.cumsum(starts) - 1
+    return order[starts], inverse
