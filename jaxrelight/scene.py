@@ -72,7 +72,9 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     if root.has("light"):
         raise InputError(f"{path}: [[light]] is not supported yet; remove the lights and give an [environment]")
     camera = _camera(root.table("camera"))
-    environment = _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
+    environment = (
+        _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
+    )
     named = root.table("material")
     materials = {name: _material(named.table(name)) for name in named.names()}
     parts = tuple(_part(table, path.parent, materials) for table in root.tables("mesh"))
@@ -144,7 +146,9 @@ class _Table:
         except (TypeError, ValueError):
             array = None
         if array is None or array.shape not in shapes or isinstance(value, (str, bool)):
-            wanted = " or ".join("a number" if not shape else " × ".join(map(str, shape)) + " numbers" for shape in shapes)
+            wanted = " or ".join(
+                "a number" if not shape else " × ".join(map(str, shape)) + " numbers" for shape in shapes
+            )
             raise InputError(f"{self.where}: '{key}' must be {wanted}, not {value!r}")
         if not np.isfinite(array).all():
             raise InputError(f"{self.where}: '{key}' must be finite, not {value!r}")
@@ -192,7 +196,11 @@ def _part(table: _Table, folder: pathlib.Path, materials: Mapping[str, Brdf]) ->
         mesh = meshes.normalized(mesh, table.number("normalize"))
     if table.has("transform"):
         mesh = meshes.transformed(mesh, table.array("transform", (4, 4)))
-    for key, what in (("materials", "materials by part"), ("two_sided", "two-sided meshes"), ("tangents", "UV tangents")):
+    for key, what in (
+        ("materials", "materials by part"),
+        ("two_sided", "two-sided meshes"),
+        ("tangents", "UV tangents"),
+    ):
         if table.has(key):
             raise InputError(f"{table.where}: '{key}': {what} are not supported yet; remove the key")
     if not table.has("material"):

@@ -17,6 +17,7 @@ import pathlib
 import shutil
 import threading
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -81,7 +82,7 @@ class Layer:
             layout = {name: [list(shape), str(np.dtype(dtype))] for name, (shape, dtype) in arrays.items()}
             write_text(folder / "layout.json", json.dumps({"groups": groups, "arrays": layout}, indent=1))
         root = zarr.open_group(folder, mode="r+")
-        self._arrays = {name: root[name] for name in arrays}
+        self._arrays: dict[str, Any] = {name: root[name] for name in arrays}
         self.done = self._read_journal()
 
     def _read_journal(self) -> set[int]:
@@ -108,7 +109,7 @@ class Layer:
                 self.done.add(group)
         except OSError as error:
             raise InputError(
-                f"{self.folder}: cannot be written: {error.strerror}; what was finished is kept, make room and run again"
+                f"{self.folder}: cannot be written: {error.strerror}; what is finished is kept, make room and run again"
             ) from None
 
     def finish(self):
@@ -172,5 +173,5 @@ def read_header(folder: pathlib.Path) -> dict:
         raise InputError(f"{path}: damaged; run precompute again, finished layers will be reused") from None
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         found = header.get("format") if isinstance(header, dict) else None
-        raise InputError(f"{path}: format {found} cannot be read by this version, which reads {FORMAT}; precompute again")
+        raise InputError(f"{path}: format {found} is not format {FORMAT}, which this version reads; precompute again")
     return header

@@ -19,5 +19,10 @@ class Brdf(eqx.Module):
 
     @property
     @abc.abstractmethod
+    def channels(self) -> int:
+        """c, the number of colour channels."""
+
+    @property
+    @abc.abstractmethod
     def is_constant(self) -> bool:
         """Whether f is the same for all directions, so that one factor of one texel is exact."""

@@ -1,5 +1,7 @@
 """Separable factors of a BRDF by singular value decomposition (Wang 2006 §3.3)."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,8 +19,13 @@ class Factored(Reflection):
     Map texels are in the order y, x of the local direction's (x + 1)/2, (y + 1)/2.
     """
 
-    light_maps: Float[Array, "k c r r"]
+    light_maps: Float[Array, "k c1 r r"]
     view_maps: Float[Array, "k c r r"]
+
+    @property
+    def channels(self) -> int:
+        """Channels of the light maps: 1 for a BRDF that is the same in all directions, whose colour is the view's."""
+        return self.light_maps.shape[1]
 
     @property
     def terms(self) -> int:
@@ -63,7 +70,7 @@ def factor(brdf: Brdf, terms: int = 4, resolution: int = 48) -> Factored:
     are equal projected solid angles, so the error that the SVD minimises is weighted by both cosines. √σ goes to
     either side. Texels beyond the disc's edge, which bilinear look-ups near the horizon touch, are continued by
     applying the BRDF at the edge to the other side's singular vectors (Nyström's extension). A BRDF that is the same
-    in all directions becomes one term of one texel. Not differentiable: the maps are.
+    in all directions becomes one term of one texel, exactly. Not differentiable: the maps are.
 
     Raises:
         InputError: if more terms are asked for than the disc has directions.
@@ -71,7 +78,7 @@ def factor(brdf: Brdf, terms: int = 4, resolution: int = 48) -> Factored:
     if brdf.is_constant:
         up = jnp.asarray([0.0, 0.0, 1.0])
         value = brdf.evaluate(up, up)[None, :, None, None]
-        return Factored(value, jnp.ones_like(value))
+        return Factored(jnp.ones_like(value[:, :1]), value)
     centre = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
     x, y = (grid.ravel() for grid in np.meshgrid(centre, centre))
     radius = np.hypot(x, y)
@@ -116,7 +123,7 @@ def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.nd
         u, sigma, vt = np.linalg.svd(matrix)
         u, sigma, vt = u[:, :terms], sigma[:terms], vt[:terms]
     else:
-        u, sigma, vt = scipy.sparse.linalg.svds(matrix, terms, v0=np.ones(min(matrix.shape)), rng=0)
-        u, sigma, vt = u[:, ::-1], sigma[::-1], vt[::-1]
+        found: Any = scipy.sparse.linalg.svds(matrix, terms, v0=np.ones(min(matrix.shape)), rng=0)
+        u, sigma, vt = found[0][:, ::-1], found[1][::-1], found[2][::-1]
     sign = np.where(u.sum(axis=0) < 0, -1, 1)
     return u * sign, sigma, vt.T * sign

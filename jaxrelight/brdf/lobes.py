@@ -27,8 +27,14 @@ class LobeSum(Brdf):
         """f(ω_i, ω_o) of every channel."""
         if self.is_constant:
             return self.diffuse / math.pi
-        dot = sum(self.C[..., axis] * (omega_i[axis] * omega_o[axis]) for axis in range(3))
+        x, y, z = omega_i * omega_o
+        dot = self.C[..., 0] * x + self.C[..., 1] * y + self.C[..., 2] * z
         return self.diffuse / math.pi + jnp.sum(self.scale * safe.power(dot, self.exponent), axis=0)
+
+    @property
+    def channels(self) -> int:
+        """c, the number of colour channels."""
+        return self.diffuse.shape[0]
 
     @property
     def is_constant(self) -> bool:
@@ -77,7 +83,7 @@ def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarr
     with np.errstate(over="ignore", divide="ignore"):
         scale = np.asarray(specular, float) * np.exp(n * np.log(np.where(largest > 0, largest, 1)))
     if not (np.abs(scale) < np.finfo(np.float32).max).all():
-        raise InputError("a lobe's specular · max|C|^exponent is too large; give 'peak', its value at the peak, instead")
+        raise InputError("a lobe's specular · max|C|^exponent is too large; give 'peak', its largest value, instead")
     return normal, n, np.atleast_1d(scale)
 
 

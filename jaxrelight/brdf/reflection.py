@@ -3,6 +3,7 @@
 import abc
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -20,6 +21,11 @@ class Reflection(eqx.Module):
     @abc.abstractmethod
     def terms(self) -> int:
         """k, the number of products."""
+
+    @property
+    @abc.abstractmethod
+    def channels(self) -> int:
+        """Channels of the light side: 1 where all channels share it."""
 
     @abc.abstractmethod
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
@@ -46,6 +52,11 @@ class FixedView(Reflection):
         """One."""
         return 1
 
+    @property
+    def channels(self) -> int:
+        """Those of the BRDF."""
+        return self.brdf.channels
+
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "1 c"]:
         """f(ω_i, ω_o) itself; 0 where the eye is below the surface."""
         value = self.brdf.evaluate(omega_i, self.omega_o)
@@ -59,3 +70,9 @@ class FixedView(Reflection):
     def per_receiver(self) -> "FixedView":
         """Every receiver has its own ω_o; all share the BRDF."""
         return FixedView(False, True)  # pyright: ignore[reportArgumentType]
+
+
+def of_group(reflection: Reflection, group: int) -> Reflection:
+    """One group's part of a reflection whose own-per-receiver arrays lead with the group."""
+    own, shared = eqx.partition(reflection, reflection.per_receiver)
+    return eqx.combine(jax.tree.map(lambda x: x[group], own), shared)

@@ -42,6 +42,10 @@ class Receivers:
         """Receivers, copies not counted."""
         return len(self.slot_of)
 
+    def groups_of(self, material: int) -> list[int]:
+        """The groups of a material, which follow each other."""
+        return np.flatnonzero(self.material_of_group == material).tolist()
+
 
 def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
     """Every vertex: the view stays free."""

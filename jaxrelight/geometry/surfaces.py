@@ -35,10 +35,11 @@ class Surfaces:
         return (np.asarray(world, float) - self.centre) / self.radius
 
     def face_normals(self) -> Float[np.ndarray, "f 3"]:
-        """Unit geometric normals; meshes have no faces without area."""
+        """Unit geometric normals; the zero vector for a face that rounding left without area."""
         corners = self.vertices[self.faces]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        length = np.linalg.norm(normal, axis=-1, keepdims=True)
+        return normal / np.where(length > 0, length, 1)
 
 
 def join(meshes: Sequence[Mesh]) -> Surfaces:

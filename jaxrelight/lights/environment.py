@@ -54,7 +54,7 @@ def environment(
     if not (np.isfinite(rotate_y) and np.isfinite(scale) and scale >= 0):
         raise InputError(f"{name}: rotate_y must be finite and scale finite and not negative")
     pixels, notes = pixels[..., :3], []
-    bad = ~np.isfinite(pixels).all(axis=-1)
+    bad = np.logical_not(np.isfinite(pixels).all(axis=-1))
     if bad.any():
         if not zero_nonfinite:
             row, column = np.argwhere(bad)[0]
@@ -77,9 +77,7 @@ def load_environment(
     """An environment from an image file; see `environment`."""
     from jaxrelight.images import read_image
 
-    return environment(
-        read_image(path), rotate_y, scale, zero_nonfinite=zero_nonfinite, name=pathlib.Path(path).name
-    )
+    return environment(read_image(path), rotate_y, scale, zero_nonfinite=zero_nonfinite, name=pathlib.Path(path).name)
 
 
 def coarsened(pixels: Float[np.ndarray, "h w 3"], resolution: int) -> Float[np.ndarray, "h w 3"]:

@@ -52,9 +52,7 @@ class SparseRows(Operator):
         whole = r - r % _BLOCK
         parts = []
         if whole:
-            blocks = jax.tree.map(
-                lambda x: x[:whole].reshape(-1, _BLOCK, *x.shape[1:]), (self.indices, self.values)
-            )
+            blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, _BLOCK, *x.shape[1:]), (self.indices, self.values))
             parts.append(jax.lax.map(block, blocks).reshape(whole, -1))
         if whole < r:
             parts.append(block((self.indices[whole:], self.values[whole:])))

@@ -185,6 +185,7 @@ def bake_and_transpose(
 
     def weighted(rows, y):
         # Receivers b, terms k, channels c, texels d. The blocks' shares stay apart until all are summed at once.
+        rows = jnp.broadcast_to(rows, (*y.shape, rows.shape[-1]))
         return jnp.einsum("bkcd,bkc->dc", rows, y, precision="highest")
 
     return jnp.sum(_map_blocks(weighted, bits, frames, reflection, directions, (radiance,)), axis=0)

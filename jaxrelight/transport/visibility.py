@@ -5,9 +5,6 @@ from jaxtyping import Float, UInt8
 
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 
-# Receivers traced by one call: the rays of a call should stay in cache.
-_BATCH = 16
-
 
 def trace_visibility(
     tracer: Tracer,
@@ -15,19 +12,23 @@ def trace_visibility(
     normals: Float[np.ndarray, "m 3"],
     face_normals: Float[np.ndarray, "m 3"],
     directions: Float[np.ndarray, "d 3"],
-) -> UInt8[np.ndarray, "m bytes"]:
+) -> tuple[UInt8[np.ndarray, "m bytes"], int]:
     """Bits, eight directions a byte, the first one lowest: 1 where the environment is seen above the surface.
 
     Only directions above the shading normal are traced; all others are 0. Positions are in scene space and are lifted
-    along the face normals here.
+    along the face normals here. Also returns the number of rays.
     """
-    directions = np.asarray(directions, np.float32)
+    directions = np.ascontiguousarray(directions, np.float32)
+    by_axis = np.ascontiguousarray(directions.T)
     origins = np.asarray(positions + OFFSET * face_normals, np.float32)
-    cosines = np.asarray(normals, np.float32) @ directions.T
-    visible = np.zeros(cosines.shape, bool)
-    for start in range(0, len(origins), _BATCH):
-        batch = slice(start, start + _BATCH)
-        receiver, direction = np.nonzero(cosines[batch] > 0)
-        hit = tracer.occluded(origins[batch][receiver], directions[direction])
-        visible[batch][receiver, direction] = ~hit
-    return np.packbits(visible, axis=-1, bitorder="little")
+    bits = np.zeros((len(origins), len(directions) // 8), np.uint8)
+    visible, rays_traced = np.zeros(len(directions), bool), 0
+    # One receiver at a time: its rays stay in cache, and start where the last ones did.
+    for receiver, (origin, normal) in enumerate(zip(origins, np.asarray(normals, np.float32), strict=True)):
+        above = np.flatnonzero(normal @ by_axis > 0)
+        rays = np.take(directions, above, axis=0, mode="clip")
+        rays_traced += len(rays)
+        visible[:] = False
+        visible[above] = ~tracer.occluded(np.broadcast_to(origin, rays.shape), rays)
+        bits[receiver] = np.packbits(visible, bitorder="little")
+    return bits, rays_traced

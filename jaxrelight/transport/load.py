@@ -1,0 +1,217 @@
+"""From a store to the operator, and to all that is needed to light and to view with it."""
+
+import dataclasses
+import pathlib
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight import store
+from jaxrelight.basis import cubemap
+from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.record import from_record
+from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.geometry.gbuffer import trace_gbuffer
+from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
+from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.operators.stacked import Stacked
+from jaxrelight.operators.streamed import Streamed
+from jaxrelight.transport import bake
+from jaxrelight.transport.settings import Settings
+
+
+@dataclasses.dataclass(frozen=True)
+class Transport:
+    """What a store holds, ready to light and to view with.
+
+    Attributes:
+        settings: the dials it was made with.
+        surfaces: the geometry, for views.
+        tracer: rays against it.
+        receivers: the points of the operator's rows.
+        names: of the materials that have receivers.
+        brdfs: theirs.
+        reflections: theirs; arrays that each receiver has for itself lead with groups and receivers.
+        operator: from light to light terms; its rows are ordered by material, group, receiver and term.
+        basis: of the operator's light.
+        kept: share of transport energy that the operator keeps.
+        dropped: energy left out of every row by channel, per material; None where nothing is.
+        camera: the scene's.
+        rotate_y: of the scene's environment.
+        scale: of the scene's environment.
+        folder: the store.
+        visibility: the layer of visibility bits.
+    """
+
+    settings: Settings
+    surfaces: Surfaces
+    tracer: Tracer
+    receivers: Receivers
+    names: list[str]
+    brdfs: list[Brdf]
+    reflections: list[Reflection]
+    operator: Stacked
+    basis: bake.Basis
+    kept: float
+    dropped: list[np.ndarray] | None
+    camera: Camera
+    rotate_y: float
+    scale: float
+    folder: pathlib.Path
+    visibility: store.Layer
+    groups: list[list[int]]
+
+
+def load(folder: pathlib.Path) -> Transport:
+    """Opens a store.
+
+    Raises:
+        InputError: if it is not complete, damaged, or of another format.
+    """
+    header = store.read_header(folder)
+    settings = Settings(**header["settings"])
+    geometry = store.open_layer(folder / header["geometry"])
+    surfaces = _read_geometry(geometry)
+    visibility = store.open_layer(folder / header["visibility"])
+    tracer, camera = Tracer(surfaces), Camera(**header["camera"])
+    receivers = receivers_of(surfaces, tracer, np.array(header["material_of_mesh"]), camera, settings)
+    if len(receivers.filled) != visibility.groups:
+        raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    frames = frames_of(receivers)
+    numbers = sorted(set(receivers.material_of_group.tolist()))
+    brdfs, reflections, operators, dropped, all_groups, total = [], [], [], [], [], 0.0
+    for number, record in zip(numbers, header["materials"], strict=True):
+        brdf, groups = from_record(record["brdf"]), receivers.groups_of(number)
+        reflection = (
+            read_factors(store.open_layer(folder / record["factors"]))
+            if record["factors"]
+            else fixed_view(brdf, receivers, groups)
+        )
+        if settings.coefficients == "all":
+            operators.append(streamed(visibility, groups, frames[groups], reflection, directions))
+        else:
+            layer = store.open_layer(folder / record["transport"])
+            if layer.missing:
+                raise InputError(f"{folder}: {len(layer.missing)} groups are missing; run precompute to complete them")
+            operators.append(_sparse_rows(layer, settings))
+            dropped.append(layer.read("dropped").reshape(-1, reflection.channels))
+            total += float(layer.read("total").sum(dtype=float)) * 3 / reflection.channels
+        brdfs.append(brdf)
+        reflections.append(reflection)
+        all_groups.append(groups)
+    left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
+    environment = header["environment"] or {"rotate_y": 0.0, "scale": 1.0}
+    return Transport(
+        settings=settings,
+        surfaces=surfaces,
+        tracer=tracer,
+        receivers=receivers,
+        names=[record["name"] for record in header["materials"]],
+        brdfs=brdfs,
+        reflections=reflections,
+        operator=Stacked(tuple(operators)),
+        basis=cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution),
+        kept=1 - left / total if total else 1.0,
+        dropped=dropped or None,
+        camera=camera,
+        rotate_y=environment["rotate_y"],
+        scale=environment["scale"],
+        folder=folder,
+        visibility=visibility,
+        groups=all_groups,
+    )
+
+
+def streamed(visibility, groups, frames, reflection, directions) -> Streamed:
+    """The exact operator of one material's groups, reading visibility from its layer."""
+
+    def read_bits(group: int) -> np.ndarray:
+        return visibility.read("bits", groups[group])
+
+    return Streamed(read_bits, frames, reflection, directions)
+
+
+def rebake(transport: Transport, reflections: list[Reflection]) -> Stacked:
+    """The operator with other reflections on the same visibility and the same kept coefficients; no ray is traced.
+
+    Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
+    derivative is that of the truncated operator, not of the choice.
+    """
+    settings = transport.settings
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    frames = frames_of(transport.receivers)
+    operators = []
+    for old, groups, reflection in zip(transport.operator.operators, transport.groups, reflections, strict=True):
+        if isinstance(old, Streamed):
+            operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
+            continue
+        assert isinstance(old, SparseRows)
+        kept = old.indices.reshape(len(groups), GROUP, reflection.terms, -1)
+        values = [
+            bake.bake_kept(
+                jnp.asarray(transport.visibility.read("bits", group)),
+                frames[group],
+                of_group(reflection, i),
+                directions,
+                transport.basis,
+                kept[i],
+            )
+            for i, group in enumerate(groups)
+        ]
+        joined = jnp.concatenate(values).reshape(-1, reflection.channels, kept.shape[-1])
+        operators.append(SparseRows(old.indices, joined, old.columns))
+    return Stacked(tuple(operators))
+
+
+def _read_geometry(layer: store.Layer) -> Surfaces:
+    placement = layer.read("placement", 0)
+    return Surfaces(
+        *(layer.read(name, 0) for name in ("vertices", "normals", "faces", "mesh_of_vertex")),
+        centre=placement[:3],
+        radius=float(placement[3]),
+    )
+
+
+def receivers_of(
+    surfaces: Surfaces, tracer: Tracer, material_of_mesh: np.ndarray, camera: Camera, settings: Settings
+) -> Receivers:
+    """The receivers that the settings ask for: they follow from the geometry, so that no store need hold them."""
+    if settings.receivers == "vertices":
+        return vertex_receivers(surfaces, material_of_mesh)
+    return pixel_receivers(trace_gbuffer(surfaces, tracer, camera), material_of_mesh)
+
+
+def frames_of(receivers: Receivers) -> Float[Array, "g m 3 3"]:
+    """The tangent frames of the receivers' shading normals."""
+    return tangent_frame(jnp.asarray(receivers.normals, jnp.float32))
+
+
+def fixed_view(brdf: Brdf, receivers: Receivers, groups: list[int]) -> FixedView:
+    """The exact reflection of some groups of pixel receivers."""
+    frames = tangent_frame(jnp.asarray(receivers.normals[groups], jnp.float32))
+    assert receivers.omega_o is not None
+    omega_o = jnp.asarray(receivers.omega_o[groups], jnp.float32)
+    return FixedView(brdf, jnp.einsum("gmxy,gmy->gmx", frames, omega_o))
+
+
+def read_factors(layer: store.Layer) -> Factored:
+    """Factors from their layer."""
+    return Factored(jnp.asarray(layer.read("light_maps", 0)), jnp.asarray(layer.read("view_maps", 0)))
+
+
+def _sparse_rows(layer: store.Layer, settings: Settings) -> SparseRows:
+    indices, values = layer.read("indices"), layer.read("values")
+    indices = indices.reshape(-1, indices.shape[-1])
+    if indices.max() >= 6 * settings.resolution**2:
+        raise InputError(f"{layer.folder}: indices are out of range; delete this folder and run precompute again")
+    values = values.reshape(len(indices), *values.shape[-2:])
+    return SparseRows(jnp.asarray(indices), jnp.asarray(values), 6 * settings.resolution**2)

@@ -1,0 +1,53 @@
+"""The dials of precomputation."""
+
+import dataclasses
+from typing import Literal
+
+from jaxrelight.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """What is precomputed, and how finely.
+
+    Attributes:
+        receivers: "vertices" leave the view free; "pixels" are exact for the scene's camera alone.
+        resolution: side of the six faces of the cube map that light is given on; a power of two.
+        visibility_samples: rays a texel; a square number. Transport is averaged over them.
+        terms: factors of a BRDF that depends on direction, for vertices; a diffuse one always has 1.
+        coefficients: wavelet coefficients kept in each row, or "all": nothing is compressed, rows are baked from the
+            stored visibility at every change of light.
+        factor_resolution: side of the maps of BRDF factors.
+    """
+
+    receivers: Literal["vertices", "pixels"] = "vertices"
+    resolution: int = 64
+    visibility_samples: int = 1
+    terms: int = 4
+    coefficients: int | Literal["all"] = 128
+    factor_resolution: int = 48
+
+    def __post_init__(self):
+        def require(good: bool, message: str):
+            if not good:
+                raise InputError(message)
+
+        n, rays = self.resolution, self.visibility_samples
+        require(
+            self.receivers in ("vertices", "pixels"), f"receivers are 'vertices' or 'pixels', not '{self.receivers}'"
+        )
+        require(4 <= n <= 512 and n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
+        require(rays in (1, 4, 9, 16, 25), f"visibility samples are {rays}; they must be 1, 4, 9, 16 or 25")
+        require(self.terms >= 1, f"terms are {self.terms}; at least 1 is needed")
+        require(self.factor_resolution >= 4, f"factor resolution is {self.factor_resolution}; at least 4 is needed")
+        if self.coefficients != "all":
+            limit = 6 * n * n
+            require(
+                isinstance(self.coefficients, int) and 1 <= self.coefficients <= limit,
+                f"coefficients are {self.coefficients}; from 1 to {limit:,} can be kept at resolution {n}, or 'all'",
+            )
+
+    @property
+    def samples_per_side(self) -> int:
+        """Rays along a side of a texel."""
+        return round(self.visibility_samples**0.5)
