@@ -42,9 +42,9 @@ class Receivers:
         """Receivers, copies not counted."""
         return len(self.slot_of)
 
-    def groups_of(self, material: int) -> list[int]:
+    def groups_of(self, material: int) -> Int[np.ndarray, " g"]:
         """The groups of a material, which follow each other."""
-        return np.flatnonzero(self.material_of_group == material).tolist()
+        return np.flatnonzero(self.material_of_group == material)
 
 
 def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:

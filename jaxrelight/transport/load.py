@@ -5,7 +5,7 @@ import pathlib
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
@@ -67,7 +67,7 @@ class Transport:
     scale: float
     folder: pathlib.Path
     visibility: store.Layer
-    groups: list[list[int]]
+    groups: list[Int[np.ndarray, " g"]]
 
 
 def load(folder: pathlib.Path) -> Transport:
@@ -135,7 +135,7 @@ def streamed(visibility, groups, frames, reflection, directions) -> Streamed:
     """The exact operator of one material's groups, reading visibility from its layer."""
 
     def read_bits(group: int) -> np.ndarray:
-        return visibility.read("bits", groups[group])
+        return visibility.read("bits", int(groups[group]))
 
     return Streamed(read_bits, frames, reflection, directions)
 
@@ -158,7 +158,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Stacked:
         kept = old.indices.reshape(len(groups), GROUP, reflection.terms, -1)
         values = [
             bake.bake_kept(
-                jnp.asarray(transport.visibility.read("bits", group)),
+                jnp.asarray(transport.visibility.read("bits", int(group))),
                 frames[group],
                 of_group(reflection, i),
                 directions,
@@ -195,7 +195,7 @@ def frames_of(receivers: Receivers) -> Float[Array, "g m 3 3"]:
     return tangent_frame(jnp.asarray(receivers.normals, jnp.float32))
 
 
-def fixed_view(brdf: Brdf, receivers: Receivers, groups: list[int]) -> FixedView:
+def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
     """The exact reflection of some groups of pixel receivers."""
     frames = tangent_frame(jnp.asarray(receivers.normals[groups], jnp.float32))
     assert receivers.omega_o is not None

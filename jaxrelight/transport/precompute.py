@@ -104,7 +104,7 @@ def precompute(
         frames = frames_of(receivers)
         for number, name in enumerate(names):
             brdf, groups = scene.materials[name], receivers.groups_of(number)
-            if not groups:
+            if not len(groups):
                 continue
             reflection, factors = _factors(folder, brdf, settings)
             reflection = reflection or fixed_view(brdf, receivers, groups)
@@ -253,7 +253,7 @@ def _bake_groups(layer, visibility, groups, frames, reflection, settings: Settin
     index = np.dtype(smallest_index_type(6 * settings.resolution**2))
 
     def make(i: int):
-        bits = jnp.asarray(visibility.read("bits", groups[i]))
+        bits = jnp.asarray(visibility.read("bits", int(groups[i])))
         kept = bake.bake_truncated(
             bits, frames[i], of_group(reflection, i), directions, basis, int(settings.coefficients)
         )
