@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import cubemap
-from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 
 
 def directions(u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "... 3"]:
@@ -92,7 +92,7 @@ def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
         entry = np.where(inside, starts[rows, None] + slot, 0)
         values = np.where(inside, weight[entry], 0)[:, None].astype(np.float32)
         indices = np.where(inside, pixel[entry], 0).astype(np.int32)
-        groups.append(SparseRows(jnp.asarray(indices), jnp.asarray(values), height * width))
+        groups.append(sparse_rows(jnp.asarray(indices), jnp.asarray(values), height * width))
         members.append(rows)
     return AreaResampling(tuple(groups), jnp.asarray(np.argsort(np.concatenate(members), kind="stable")))
 

@@ -3,76 +3,92 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Operator
 
-# Rows of one block of the product. Gathered light of a block stays in cache; measured best of 256 … 4,096.
+# Rows of a block of the product: what a block gathers should stay in cache.
 _BLOCK = 2048
 
 
 class SparseRows(Operator):
-    """n coefficients a row, at indices shared by the channels.
+    """n coefficients a row, at indices shared by the channels. Made by `sparse_rows`.
+
+    Rows are held in blocks of m, the last one filled up with zeros. Every channel has an array of its own: a slice of
+    a common one would be copied at each use.
 
     Attributes:
         indices: ascending coefficient numbers, in the smallest unsigned type that holds them.
-        values: the coefficients, for c channels, or for 1 where the rows are the same in all of them (grey).
+        values: the coefficients of c channels, or of 1 where the rows are the same in all of them (grey).
+        row_count: r, without the filling.
         columns: d, the number of light coefficients.
     """
 
-    indices: Int[Array, "r n"]
-    values: Float[Array, "r c n"]
+    indices: Int[Array, "b m n"]
+    values: tuple[Float[Array, "b m n"], ...]
+    row_count: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """(r, d, c)."""
-        return self.values.shape[0], self.columns, self.values.shape[1]
+        return self.row_count, self.columns, len(self.values)
 
     @property
     def nbytes(self) -> int:
         """Bytes of indices and values."""
-        return self.indices.nbytes + self.values.nbytes
+        return self.indices.nbytes + sum(channel.nbytes for channel in self.values)
 
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: a gather of light and a short sum, block by block."""
+        channels = range(light.shape[1])
         # One contiguous vector of light for each channel.
-        by_channel = light.T
+        by_channel = tuple(light[:, c] for c in channels)
 
-        def block(rows):
-            indices, values = rows
-            indices = indices.astype(jnp.int32)
-            products = []
-            for c, channel in enumerate(by_channel):
-                gathered = channel.at[indices].get(mode="promise_in_bounds")
-                products.append(jnp.sum(values[:, c % values.shape[1]] * gathered, axis=-1))
-            return jnp.stack(products, axis=-1)
+        def block(part):
+            indices, values = part[0].astype(jnp.int32), part[1]
+            gathered = [by_channel[c].at[indices].get(mode="promise_in_bounds") for c in channels]
+            return jnp.stack([jnp.sum(values[c % len(values)] * gathered[c], axis=-1) for c in channels])
 
-        r = self.values.shape[0]
-        whole = r - r % _BLOCK
-        parts = []
-        if whole:
-            blocks = jax.tree.map(lambda x: x[:whole].reshape(-1, _BLOCK, *x.shape[1:]), (self.indices, self.values))
-            parts.append(jax.lax.map(block, blocks).reshape(whole, -1))
-        if whole < r:
-            parts.append(block((self.indices[whole:], self.values[whole:])))
-        return jnp.concatenate(parts) if len(parts) > 1 else parts[0]
+        products = jax.lax.map(block, (self.indices, self.values))
+        # blocks b, channels c, rows m of a block
+        return jnp.moveaxis(products, 1, 2).reshape(-1, len(channels))[: self.row_count]
 
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint, by scatter-add. Float32 sums here are serial: rounding grows with rows per coefficient."""
-        c = radiance.shape[1]
-        values = jnp.broadcast_to(self.values, (self.values.shape[0], c, self.values.shape[2]))
-        products = jnp.moveaxis(values * radiance[:, :, None], 1, -1)
-        out = jnp.zeros((self.columns, c), products.dtype)
-        return out.at[self.indices.astype(jnp.int32)].add(products, mode="promise_in_bounds")
+        b, m, _ = self.indices.shape
+        indices = self.indices.astype(jnp.int32)
+        filled = jnp.pad(radiance, ((0, b * m - self.row_count), (0, 0))).reshape(b, m, 1, -1)
+        out = jnp.zeros((self.columns,), jnp.result_type(radiance, self.values[0]))
+        sums = [
+            out.at[indices].add(self.values[c % len(self.values)] * filled[..., c], mode="promise_in_bounds")
+            for c in range(radiance.shape[1])
+        ]
+        return jnp.stack(sums, axis=-1)
 
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows, zero where nothing was kept."""
-        kept, values = self.indices[indices].astype(jnp.int32), self.values[indices]
+        n = self.indices.shape[-1]
+        kept = self.indices.reshape(-1, n)[indices].astype(jnp.int32)
+        values = jnp.stack([channel.reshape(-1, n)[indices] for channel in self.values], axis=1)
         empty = jnp.zeros((*values.shape[:2], self.columns), values.dtype)
         return jax.vmap(lambda row, i, v: row.at[:, i].add(v))(empty, kept, values)
 
 
-def smallest_index_type(columns: int):
+def sparse_rows(indices: Int[Array, "r n"], values: Float[Array, "r c n"], columns: int) -> SparseRows:
+    """A row-sparse operator over `columns` light coefficients; indices must be below that."""
+    r, c, n = values.shape
+    m = min(_BLOCK, r)
+    b = -(-r // m)
+
+    def blocks(rows):
+        return jnp.pad(rows, ((0, b * m - r), (0, 0))).reshape(b, m, n)
+
+    indices = jnp.asarray(indices).astype(smallest_index_type(columns))
+    return SparseRows(blocks(indices), tuple(blocks(jnp.asarray(values)[:, i]) for i in range(c)), r, columns)
+
+
+def smallest_index_type(columns: int) -> np.dtype:
     """The unsigned integer type for indices below `columns`."""
-    return jnp.uint16 if columns <= 2**16 else jnp.uint32
+    return np.dtype(np.uint16 if columns <= 2**16 else np.uint32)

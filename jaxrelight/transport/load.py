@@ -21,7 +21,7 @@ from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
@@ -155,7 +155,8 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Stacked:
             operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
             continue
         assert isinstance(old, SparseRows)
-        kept = old.indices.reshape(len(groups), GROUP, reflection.terms, -1)
+        n = old.indices.shape[-1]
+        kept = old.indices.reshape(-1, n)[: old.row_count].reshape(len(groups), GROUP, reflection.terms, n)
         values = [
             bake.bake_kept(
                 jnp.asarray(transport.visibility.read("bits", int(group))),
@@ -167,8 +168,8 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Stacked:
             )
             for i, group in enumerate(groups)
         ]
-        joined = jnp.concatenate(values).reshape(-1, reflection.channels, kept.shape[-1])
-        operators.append(SparseRows(old.indices, joined, old.columns))
+        joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
+        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns))
     return Stacked(tuple(operators))
 
 
@@ -214,4 +215,4 @@ def _sparse_rows(layer: store.Layer, settings: Settings) -> SparseRows:
     if indices.max() >= 6 * settings.resolution**2:
         raise InputError(f"{layer.folder}: indices are out of range; delete this folder and run precompute again")
     values = values.reshape(len(indices), *values.shape[-2:])
-    return SparseRows(jnp.asarray(indices), jnp.asarray(values), 6 * settings.resolution**2)
+    return sparse_rows(jnp.asarray(indices), jnp.asarray(values), 6 * settings.resolution**2)

@@ -205,7 +205,7 @@ def _factors(folder: pathlib.Path, brdf: Brdf, settings: Settings) -> tuple[Fact
 
 def _transport_layer(folder: pathlib.Path, reflection: Reflection, settings: Settings, groups: int) -> store.Layer:
     k, c, n = reflection.terms, reflection.channels, int(settings.coefficients)
-    index = np.dtype(smallest_index_type(6 * settings.resolution**2))
+    index = smallest_index_type(6 * settings.resolution**2)
     real = np.dtype(np.float32)
     return store.Layer(
         folder,
@@ -250,7 +250,7 @@ def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, dire
 def _bake_groups(layer, visibility, groups, frames, reflection, settings: Settings, name: str, report: Report):
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     basis = HaarFaces(settings.resolution)
-    index = np.dtype(smallest_index_type(6 * settings.resolution**2))
+    index = smallest_index_type(6 * settings.resolution**2)
 
     def make(i: int):
         bits = jnp.asarray(visibility.read("bits", int(groups[i])))
