@@ -5,7 +5,7 @@ The public names, each loaded when it is first used:
     scenes      load_scene, Scene, Part, Camera, Environment, environment, load_environment,
                 Mesh, load_mesh, plane, sphere, box
     materials   lambert, phong, lobe, lobe_sum, factor
-    transport   Settings, precompute, load, rebake
+    transport   Settings, precompute, load, exact, rebake
     lighting    Relighter
     images      read_image, write_image, tone_map, image_error
     errors      InputError
@@ -23,7 +23,7 @@ _HOMES = {
     "brdf.factors": ("factor",),
     "transport.settings": ("Settings",),
     "transport.precompute": ("precompute",),
-    "transport.load": ("load", "rebake"),
+    "transport.load": ("load", "exact", "rebake"),
     "lighting.transport": ("Relighter",),
     "images": ("read_image", "write_image", "tone_map", "image_error"),
     "errors": ("InputError",),

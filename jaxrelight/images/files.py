@@ -82,6 +82,21 @@ def write_image(path: str | os.PathLike, pixels, exposure: float = 0.0, *, alpha
         raise InputError(f"{path}: cannot write an image of kind {suffix!r}; use one of {_WRITABLE}")
 
 
+def check_writable(path: str | os.PathLike) -> None:
+    """Find out before long work whether its picture could be written.
+
+    Raises:
+        InputError: The extension is unknown, or the folder does not exist or must not be written to.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".exr", ".hdr", ".pic", ".png"):
+        raise InputError(f"{path}: cannot write an image of kind {path.suffix!r}; use one of {_WRITABLE}")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the path of an image file")
+    if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK):
+        raise InputError(f"{path}: its folder does not exist or cannot be written to; make it first")
+
+
 def _check_regular(path: Path) -> None:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; give the path of an image file")

@@ -97,7 +97,7 @@ def load(folder: pathlib.Path) -> Transport:
             else fixed_view(brdf, receivers, groups)
         )
         if settings.coefficients == "all":
-            operators.append(streamed(visibility, groups, frames[groups], reflection, directions))
+            operators.append(_streamed(visibility, groups, frames[groups], reflection, directions))
         else:
             layer = store.open_layer(folder / record["transport"])
             if layer.missing:
@@ -131,7 +131,29 @@ def load(folder: pathlib.Path) -> Transport:
     )
 
 
-def streamed(visibility, groups, frames, reflection, directions) -> Streamed:
+def exact(transport: Transport) -> Transport:
+    """The same scene with nothing left out: rows over all texels, baked from visibility at every use.
+
+    The reference that the kept coefficients are measured against; factors stay what they are.
+    """
+    settings = transport.settings
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    frames = frames_of(transport.receivers)
+    operators = [
+        _streamed(transport.visibility, groups, frames[groups], reflection, directions)
+        for groups, reflection in zip(transport.groups, transport.reflections, strict=True)
+    ]
+    return dataclasses.replace(
+        transport,
+        settings=dataclasses.replace(settings, coefficients="all"),
+        operator=Stacked(tuple(operators)),
+        basis=cubemap.Texels(settings.resolution),
+        kept=1.0,
+        dropped=None,
+    )
+
+
+def _streamed(visibility, groups, frames, reflection, directions) -> Streamed:
     """The exact operator of one material's groups, reading visibility from its layer."""
 
     def read_bits(group: int) -> np.ndarray:

@@ -55,7 +55,7 @@ class Summary:
 
 def precompute(
     scene: Scene,
-    settings: Settings = Settings(),  # noqa: B008 - frozen
+    settings: Settings = Settings(),
     folder: pathlib.Path | None = None,
     report: Report = lambda stage, done, total: None,
 ) -> Summary:

@@ -1,0 +1,30 @@
+"""The command line: parsing only."""
+
+import sys
+
+import tyro
+
+from jaxrelight.commands.demo import Demo
+from jaxrelight.commands.info import Info
+from jaxrelight.commands.precompute import Precompute
+from jaxrelight.commands.relight import Relight
+from jaxrelight.commands.render import Render
+from jaxrelight.errors import InputError
+
+
+def main() -> None:
+    """Runs the command that was asked for; exits with 1 and one line for bad input, 2 for a wrong command line."""
+    command = tyro.cli(
+        Demo | Render | Precompute | Relight | Info,  # pyright: ignore[reportArgumentType]
+        prog="jaxrelight",
+        description="Precompute light transport once; relight under any environment, from any view.",
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    try:
+        command.run()
+    except InputError as error:
+        print(f"jaxrelight: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("jaxrelight: stopped; what is done is kept", file=sys.stderr)
+        sys.exit(130)

@@ -1,0 +1,112 @@
+"""Options that several commands share. Nothing heavy is imported here, so that --help stays quick."""
+
+import dataclasses
+import pathlib
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from jaxrelight.geometry.camera import Camera
+    from jaxrelight.lights.environment import Environment
+    from jaxrelight.transport.settings import Settings
+
+Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
+
+
+@dataclasses.dataclass(frozen=True)
+class PrecomputeOptions:
+    """What is precomputed, and how finely."""
+
+    resolution: int = 64
+    """Side of the six faces of the cube map that light is given on; a power of two. Rays and time grow with its
+    square; sharper shadows and highlights need more."""
+    visibility_samples: int = 1
+    """Rays for each texel of the cube map: 1, 4, 9, 16 or 25."""
+    terms: int = 4
+    """Factors of a glossy material where receivers are vertices. Glossier materials need more; time and bytes grow
+    with them. Diffuse materials always have 1."""
+    coefficients: int | Literal["all"] = 128
+    """Wavelet coefficients kept for each row of transport; 'all' compresses nothing: exact, but slow to relight."""
+    factor_resolution: int = 48
+    """Side of the maps of a glossy material's factors."""
+
+    def settings(self, receivers: Literal["vertices", "pixels"]) -> "Settings":
+        """As the library takes them."""
+        from jaxrelight.transport.settings import Settings
+
+        return Settings(
+            receivers,
+            self.resolution,
+            self.visibility_samples,
+            self.terms,
+            self.coefficients,
+            self.factor_resolution,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class LightOptions:
+    """The light; what is not given is the scene's."""
+
+    env: pathlib.Path | None = None
+    """A lat-long environment map: .exr, .hdr or .png."""
+    rotate_y: float | None = None
+    """Degrees that it is turned about +y, counter-clockwise seen from above."""
+    scale: float | None = None
+    """Factor on its radiance."""
+    zero_nonfinite: bool = False
+    """Set NaN and infinite pixels of the map to 0 instead of refusing it."""
+
+    def environment(self, default: "Environment | None") -> "Environment":
+        """The environment that these options and the scene's own make together."""
+        import dataclasses
+
+        from jaxrelight.errors import InputError
+        from jaxrelight.lights.environment import load_environment
+
+        if self.env is not None:
+            return load_environment(
+                self.env,
+                self.rotate_y or 0.0,
+                1.0 if self.scale is None else self.scale,
+                zero_nonfinite=self.zero_nonfinite,
+            )
+        if default is None:
+            raise InputError("the scene has no environment; name one with --env MAP")
+        return dataclasses.replace(
+            default,
+            rotate_y=default.rotate_y if self.rotate_y is None else self.rotate_y,
+            scale=default.scale if self.scale is None else self.scale,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class ViewOptions:
+    """The camera; what is not given is the scene's."""
+
+    origin: tuple[float, float, float] | None = None
+    """Where the eye is."""
+    target: tuple[float, float, float] | None = None
+    """What the image centre shows."""
+    fov_y: float | None = None
+    """Vertical field of view in degrees."""
+    width: int | None = None
+    """Pixels in a row."""
+    height: int | None = None
+    """Rows."""
+
+    def camera(self, default: "Camera") -> "Camera":
+        """The camera that these options and the scene's own make together."""
+        given = {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
+        return dataclasses.replace(default, **given)
+
+
+@dataclasses.dataclass(frozen=True)
+class PictureOptions:
+    """The image file."""
+
+    background: Literal["environment", "none"] = "environment"
+    """What is seen where no surface is."""
+    exposure: float = 0.0
+    """Stops by which a .png is made brighter; .exr and .hdr hold radiance."""

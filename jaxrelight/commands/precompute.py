@@ -1,0 +1,64 @@
+"""jaxrelight precompute: a scene into a store."""
+
+import dataclasses
+import pathlib
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jaxrelight.commands.options import PrecomputeOptions
+
+if TYPE_CHECKING:
+    from jaxrelight.transport.precompute import Summary
+
+
+@dataclasses.dataclass(frozen=True)
+class Precompute:
+    """Precompute a scene's transport into a store, to be relit from any view.
+
+    What is done stays done: run it again after a stop and it goes on. A changed material re-bakes without new rays.
+    """
+
+    scene: tyro.conf.Positional[pathlib.Path]
+    """A scene file (.toml)."""
+    output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o", "--store"], metavar="STORE")] = None
+    """The store's folder; by default one in the user's cache folder."""
+    receivers: Literal["vertices", "pixels"] = "vertices"
+    """'vertices' leave the view free; 'pixels' are exact for the scene's own camera."""
+    dials: tyro.conf.OmitArgPrefixes[PrecomputeOptions] = PrecomputeOptions()
+    zero_nonfinite: bool = False
+    """Set NaN and infinite pixels of the environment to 0 instead of refusing it."""
+    json: bool = False
+    """Print one JSON object at the end."""
+
+    def run(self):
+        """Runs the command."""
+        from jaxrelight.commands.progress import notes, progress, summarize
+        from jaxrelight.scene import load_scene
+        from jaxrelight.transport.precompute import precompute
+
+        scene = load_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
+        notes(scene.notes)
+        with progress(self.json) as report:
+            summary = precompute(scene, self.dials.settings(self.receivers), self.output, report)
+        summarize(describe(summary), self.json)
+
+
+def describe(summary: "Summary") -> dict:
+    """A precomputation as a summary that can be printed."""
+    import importlib.metadata
+
+    from jaxrelight.transport.load import load
+
+    transport = load(summary.folder)
+    return {
+        "store": str(summary.folder),
+        "receivers": summary.receivers,
+        "rays": summary.rays,
+        "seconds": summary.seconds,
+        "bytes": summary.nbytes,
+        "operator_bytes": transport.operator.nbytes,
+        "kept_energy": transport.kept,
+        "settings": dataclasses.asdict(transport.settings),
+        "versions": {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")},
+    }
