@@ -1,5 +1,6 @@
 """From a scene to a store, by stages that are reused where they can be: geometry → visibility → factors, transport."""
 
+import collections
 import concurrent.futures
 import dataclasses
 import importlib.metadata
@@ -43,7 +44,7 @@ class Summary:
         seconds: by stage; stages that were found done take next to nothing.
         rays: traced in this run.
         receivers: number of vertices or pixels.
-        nbytes: on disk, by layer.
+        nbytes: on disk, by kind of layer.
     """
 
     folder: pathlib.Path
@@ -141,8 +142,10 @@ def precompute(
     )
     layers = [geometry.folder, visibility.folder]
     layers += [folder / record[kind] for record in materials for kind in ("factors", "transport") if record.get(kind)]
-    nbytes = {layer.name: store.open_layer(layer).nbytes for layer in layers}
-    return Summary(folder, seconds, rays, receivers.count, nbytes)
+    nbytes = collections.Counter()
+    for layer in set(layers):
+        nbytes[layer.name.split("-")[0]] += store.open_layer(layer).nbytes
+    return Summary(folder, seconds, rays, receivers.count, dict(nbytes))
 
 
 class _timed:  # noqa: N801 - reads as a verb
