@@ -43,7 +43,7 @@ def demo_scene(detail: float = 1.0, size: int = 480) -> Scene:
         "floor": lobes.lambert([0.52, 0.50, 0.47]),
         "stone": lobes.lambert([0.70, 0.66, 0.58]),
         "lacquer": lobes.phong([0.42, 0.07, 0.05], [0.22, 0.20, 0.18], 12.0),
-        "brushed": lobes.lobe_sum([0.05, 0.09, 0.16], [lobes.lobe([-1, -1, 0.95], 10.0, peak=[0.55, 0.6, 0.65])]),
+        "brushed": lobes.lobe_sum([0.05, 0.09, 0.16], [lobes.lobe([-1, -1, 0.95], 7.0, peak=[0.55, 0.6, 0.65])]),
     }
     camera = Camera((0.7, 1.0, 2.7), (0.0, 0.4, 0.0), fov_y=34.0, width=size * 4 // 3, height=size)
     return Scene(parts, materials, camera, evening_sky(), "demo")

@@ -48,7 +48,7 @@ def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer
     corners = surfaces.faces[face]
     normal = np.einsum("pk,pkx->px", weights, surfaces.normals[corners])
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    face_normal = surfaces.face_normals()[face]
+    face_normal = surfaces.face_normals(face)
     return GBuffer(
         covered=covered.reshape(directions.shape[:2]),
         directions=directions,

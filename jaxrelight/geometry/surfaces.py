@@ -34,9 +34,9 @@ class Surfaces:
         """Positions in scene space of world positions."""
         return (np.asarray(world, float) - self.centre) / self.radius
 
-    def face_normals(self) -> Float[np.ndarray, "f 3"]:
-        """Unit geometric normals; the zero vector for a face that rounding left without area."""
-        corners = self.vertices[self.faces]
+    def face_normals(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
+        """Unit geometric normals of some faces; the zero vector for one that rounding left without area."""
+        corners = self.vertices[self.faces[faces]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         return normal / np.where(length > 0, length, 1)

@@ -43,7 +43,7 @@ class Relighter:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]
         resampling = latlong.area_resampling(height, width, self.transport.settings.resolution)
-        return self._light(jnp.asarray(pixels), jnp.asarray(rotate_y, jnp.float32), scale, resampling)
+        return self._light(jnp.asarray(pixels), rotate_y, scale, resampling)
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator."""
@@ -87,7 +87,7 @@ class Relighter:
     def background(self, environment: Environment, view: View) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
         return (
-            _look_up(jnp.asarray(environment.pixels), view.u, view.v, jnp.float32(environment.rotate_y / 360))
+            _look_up(jnp.asarray(environment.pixels), *view.image_coordinates, jnp.float32(environment.rotate_y / 360))
             * environment.scale
         )
 

@@ -1,16 +1,18 @@
 """A camera's view of the receivers: which of them each pixel shows, and from where."""
 
 import dataclasses
+import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame
-from jaxrelight.geometry.gbuffer import GBuffer, trace_gbuffer
+from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.transport.load import Transport
 
 
@@ -37,19 +39,23 @@ class View:
     Attributes:
         materials: pixels by material, in the transport's order.
         covered: which pixels show a surface.
-        u: where each pixel's direction lies in a lat-long map, rightwards 0 … 1.
-        v: the same downwards.
+        directions: unit world direction of every pixel.
     """
 
     materials: tuple[MaterialPixels, ...]
-    covered: np.ndarray
-    u: Float[Array, "h w"]
-    v: Float[Array, "h w"]
+    covered: Bool[np.ndarray, "h w"]
+    directions: Float[np.ndarray, "h w 3"]
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.covered.shape  # pyright: ignore[reportReturnType]
+
+    @functools.cached_property
+    def image_coordinates(self) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
+        """Where each pixel's direction lies in a lat-long map, rightwards and downwards 0 … 1."""
+        u, v = latlong.coordinates(self.directions)
+        return jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32)
 
 
 def make_view(transport: Transport, camera: Camera) -> View:
@@ -63,29 +69,31 @@ def make_view(transport: Transport, camera: Camera) -> View:
     receivers = slot[gbuffer.corners] if vertices else slot[:, None]
     weights = gbuffer.barycentric if vertices else np.ones((len(slot), 1))
     material = transport.receivers.material_of_group[receivers[:, 0] // transport.receivers.positions.shape[1]]
-    omega_o = _local(gbuffer)
     pixel = np.flatnonzero(gbuffer.covered)
     parts = []
     for groups in transport.groups:
         mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
         first = groups[0] * transport.receivers.positions.shape[1]
         pad = _bucket(len(mine)) - len(mine)
+
+        def padded(rows, fill=0, mine=mine, pad=pad):
+            return np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
+
         parts.append(
             MaterialPixels(
-                pixel=jnp.asarray(np.pad(pixel[mine], (0, pad), constant_values=gbuffer.covered.size)),
-                receivers=jnp.asarray(np.pad(receivers[mine] - first, ((0, pad), (0, 0)))),
-                weights=jnp.asarray(np.pad(weights[mine], ((0, pad), (0, 0))), jnp.float32),
-                omega_o=jnp.asarray(np.pad(omega_o[mine], ((0, pad), (0, 0)))),
+                pixel=jnp.asarray(padded(pixel, gbuffer.covered.size)),
+                receivers=jnp.asarray(padded(receivers - first)),
+                weights=jnp.asarray(padded(weights), jnp.float32),
+                omega_o=_local(*(padded(v).astype(np.float32) for v in (gbuffer.normals, gbuffer.omega_o))),
             )
         )
-    u, v = latlong.coordinates(gbuffer.directions)
-    return View(tuple(parts), gbuffer.covered, jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32))
+    return View(tuple(parts), gbuffer.covered, gbuffer.directions)
 
 
-def _local(gbuffer: GBuffer) -> np.ndarray:
+@jax.jit
+def _local(normals: Float[Array, "p 3"], omega_o: Float[Array, "p 3"]) -> Float[Array, "p 3"]:
     """Directions to the eye in the tangent frames of the interpolated normals."""
-    frames = np.asarray(tangent_frame(jnp.asarray(gbuffer.normals, jnp.float32)))
-    return np.einsum("pxy,py->px", frames, gbuffer.omega_o.astype(np.float32))
+    return jnp.einsum("pxy,py->px", tangent_frame(normals), omega_o, precision="highest")
 
 
 def _bucket(count: int) -> int:
