@@ -1,0 +1,144 @@
+"""Images against the reference renderer's, and compressed transport against streamed."""
+
+import argparse
+import contextlib
+import dataclasses
+import pathlib
+import tempfile
+
+import numpy as np
+
+from tests.benchmarks.measuring import Report, megabytes, percent, shared
+
+# Scene, cube-map resolution, target for the streamed image of pixel receivers.
+STREAMED = (
+    ("bunny_lambert", 64, 0.015),
+    ("bunny_phong", 64, 0.04),
+    ("bunny_phong", 128, 0.03),
+    ("spot_lafortune", 64, 0.015),
+    ("spot_lafortune", 128, 0.015),
+)
+# Scene, what it is lit by, target for N = 128 against streamed.
+COMPRESSED = (("bunny_lambert", "sunset", 0.02), ("bunny_phong", "Grace", 0.035))
+DIAL = 32, 64, 128, 256, 512
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.reference_images", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="resolution 16 instead of 64; RESULTS.md is left as it is")
+    parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
+    parser.add_argument("--only", choices=("streamed", "dial", "vertices"), help="one of the tables")
+    arguments = parser.parse_args()
+    shared("reference")
+    coarser = 4 if arguments.quick else 1
+    parameters = (
+        "scenes' own cameras and lights, 256×256 pixels, 1 ray a texel; errors by `jaxrelight.images.image_error`"
+    )
+    with contextlib.ExitStack() as stack:
+        folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        write = not (arguments.quick or arguments.only)
+        report = stack.enter_context(Report("reference_images", "Reference images", parameters, write))
+        parts = {"streamed": streamed, "dial": dial, "vertices": vertices}
+        for name, part in parts.items():
+            if arguments.only in (None, name):
+                part(report, folder, coarser)
+        report.speed()
+
+
+def streamed(report: Report, folder: pathlib.Path, coarser: int):
+    """Pixel receivers with all coefficients against the reference images."""
+    rows = []
+    for scene, resolution, target in STREAMED:
+        made = render(scene, folder, resolution=resolution // coarser, receivers="pixels", coefficients="all")
+        rows.append([scene, resolution // coarser, *_errors(made.error(_reference(scene)), target), *made.costs])
+    report.text("**Pixel receivers, streamed (all coefficients), against `*_b0.exr`.**")
+    report.table(["scene", "resolution", *ERRORS, *COSTS], rows)
+
+
+def dial(report: Report, folder: pathlib.Path, coarser: int):
+    """What N coefficients cost against all of them."""
+    rows = []
+    for scene, light, target in COMPRESSED:
+        options = {"resolution": 64 // coarser, "receivers": "pixels"}
+        whole = render(scene, folder, coefficients="all", **options)
+        for count in DIAL:
+            made = render(scene, folder, coefficients=count, **options)
+            limit = target if count == 128 else None
+            errors = _errors(made.error(whole.image), limit)
+            against = percent(made.error(_reference(scene)).trimmed)
+            rows.append([f"{scene}, {light}", count, *errors, against, percent(made.kept), *made.costs])
+    report.text(
+        f"**N coefficients against streamed**, pixel receivers, resolution {64 // coarser}: relit colours of the "
+        "surface pixels; the error against the reference image beside them."
+    )
+    report.table(["scene, light", "N", *ERRORS, "against reference", "energy kept", *COSTS], rows)
+
+
+def vertices(report: Report, folder: pathlib.Path, coarser: int):
+    """Vertex receivers against the reference image."""
+    made = render("bunny_lambert", folder, resolution=64 // coarser, receivers="vertices", coefficients=128)
+    row = ["bunny_lambert", 64 // coarser, *_errors(made.error(_reference("bunny_lambert")), 0.05), *made.costs]
+    report.text("**Vertex receivers, N = 128, against `bunny_lambert_b0.exr`.**")
+    report.table(["scene", "resolution", *ERRORS, *COSTS], [row])
+
+
+ERRORS = "trimmed", "untrimmed", "mean ratio", "target (trimmed)"
+COSTS = "receivers", "rays / M", "visibility / s", "transport / s", "light / s", "store"
+
+
+def _errors(error, target: float | None) -> list[str]:
+    limit = f"≤ {percent(target)}" if target else ""
+    return [percent(error.trimmed), percent(error.untrimmed), f"{error.mean_ratio:.4f}", limit]
+
+
+@dataclasses.dataclass(frozen=True)
+class Made:
+    """An image, and what it took."""
+
+    image: np.ndarray
+    kept: float
+    costs: list[str]
+
+    def error(self, reference: np.ndarray):
+        """Over the pixels that the reference covers."""
+        from jaxrelight import image_error
+
+        return image_error(self.image, reference)
+
+
+def render(name: str, folder: pathlib.Path, **options) -> Made:
+    """Precomputes a scene, or reuses what is there, and lights it with its own environment.
+
+    Scenes of the same geometry share a folder, and so their visibility; a stage that was found done costs nothing.
+    """
+    import time
+
+    from jaxrelight import Relighter, Settings, load_scene, precompute
+
+    scene = load_scene(shared("reference", f"{name}.toml"))
+    assert scene.environment is not None
+    done = precompute(scene, Settings(**options), folder / f"{name.split('_')[0]}-{options['receivers']}")
+    relighter = Relighter.open(done.folder)
+    view = relighter.view()
+    start = time.perf_counter()
+    terms = [part.block_until_ready() for part in relighter.light(scene.environment)]
+    light = time.perf_counter() - start
+    costs = [
+        f"{done.receivers:,}",
+        f"{done.rays / 1e6:.0f}" if done.rays else "reused",
+        f"{done.seconds['visibility']:.1f}" if done.rays else "reused",
+        f"{done.seconds['transport']:.1f}",
+        f"{light:.2f}",
+        megabytes(sum(done.nbytes.values())),
+    ]
+    return Made(relighter.image(scene.environment, view, tuple(terms)), relighter.transport.kept, costs)
+
+
+def _reference(name: str) -> np.ndarray:
+    from jaxrelight import read_image
+
+    return read_image(shared("reference", f"{name}_b0.exr"))
+
+
+if __name__ == "__main__":
+    main()
