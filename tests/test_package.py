@@ -1,0 +1,168 @@
+"""The public surface, what importing costs, and which modules may know which."""
+
+import ast
+import graphlib
+import pathlib
+import re
+import subprocess
+import sys
+
+import pytest
+
+import jaxrelight
+
+ROOT = pathlib.Path(jaxrelight.__file__).parent
+
+# From the bottom up. A module stands where its longest listed name stands; it imports from lower lines, or from beside
+# itself under the same name. `basis.latlong` resamples with a row-sparse operator, so the operators that know no basis
+# lie below it; the streamed operator bakes, so it lies above `transport.bake`.
+LAYERS = (
+    ("errors", "safe"),
+    ("images", "store", "operators", "transport.settings"),
+    ("basis", "brdf", "geometry"),
+    ("lights", "transport.bake", "transport.visibility"),
+    ("scene", "operators.streamed"),
+    ("demo_scene", "transport.load"),
+    ("transport.precompute",),
+    ("lighting",),
+    ("commands",),
+    ("cli",),
+)
+
+PUBLIC = {
+    "Camera",
+    "Environment",
+    "InputError",
+    "Mesh",
+    "Part",
+    "Relighter",
+    "Scene",
+    "Settings",
+    "box",
+    "environment",
+    "exact",
+    "factor",
+    "image_error",
+    "lambert",
+    "load",
+    "load_environment",
+    "load_mesh",
+    "load_scene",
+    "lobe",
+    "lobe_sum",
+    "phong",
+    "plane",
+    "precompute",
+    "read_image",
+    "rebake",
+    "sphere",
+    "tone_map",
+    "write_image",
+}
+
+
+def _modules() -> dict[str, ast.Module]:
+    """Every module of the package, parsed, by its name without the package's."""
+    found = {}
+    for path in sorted(ROOT.rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(part for part in parts if part != "__init__")] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def _imported(tree: ast.Module) -> set[str]:
+    """Everything that is imported anywhere in a module, with its full name; `from a import b` gives a.b."""
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute here"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def _graph() -> dict[str, set[str]]:
+    modules = _modules()
+    graph = {}
+    for name, tree in modules.items():
+        graph[name] = set()
+        for imported in _imported(tree):
+            head, _, rest = imported.partition(".")
+            if head != "jaxrelight":
+                continue
+            while rest not in modules:
+                rest = rest.rpartition(".")[0]
+            graph[name].add(rest)
+    return graph
+
+
+def _place(module: str) -> tuple[int, str]:
+    """The layer of a module and the name under which it is listed there."""
+    listed = {name: level for level, names in enumerate(LAYERS) for name in names}
+    while module not in listed:
+        assert module, "a new module must be given its place in LAYERS"
+        module = module.rpartition(".")[0]
+    return listed[module], module
+
+
+def test_public_names_are_those_documented():
+    assert set(jaxrelight.__all__) == PUBLIC == set(dir(jaxrelight))
+    assert jaxrelight.__doc__ is not None
+    assert set(re.findall(r"\w+", jaxrelight.__doc__)) >= PUBLIC
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_public_name_loads(name: str):
+    found = getattr(jaxrelight, name)
+    assert callable(found)
+    assert found.__doc__
+    assert found.__name__ == name
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="has no attribute 'bake'"):
+        _ = jaxrelight.bake
+
+
+@pytest.mark.parametrize("module", ["jaxrelight", "jaxrelight.cli"])
+def test_import_is_light(module: str):
+    """`--help` must not wait for JAX, nor for anything that reads files or traces rays."""
+    heavy = "jax", "numpy", "scipy", "equinox", "lineax", "trimesh", "zarr", "OpenEXR", "PIL", "embreex", "rich"
+    code = f"import {module}, sys; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT.parent)
+    assert done.stdout.strip() == "[]"
+
+
+def test_embree_has_one_home():
+    users = {
+        name for name, tree in _modules().items() if any(i.partition(".")[0] == "embreex" for i in _imported(tree))
+    }
+    assert users == {"geometry.tracer"}
+
+
+def test_fitting_is_not_needed():
+    for name, tree in _modules().items():
+        assert not any(i.partition(".")[0] in ("fitting", "tests") for i in _imported(tree)), name
+
+
+def test_modules_import_without_a_cycle():
+    graphlib.TopologicalSorter(_graph()).prepare()
+
+
+def test_modules_import_from_lower_layers():
+    graph = _graph()
+    # Packages' own pages import nothing but what lies below them.
+    upward = []
+    for module, imported in graph.items():
+        if not module:
+            assert not imported, "the package's page loads its names when they are used"
+            continue
+        if any(other.startswith(f"{module}.") for other in graph) and not imported:
+            continue
+        level, listed = _place(module)
+        for other in imported:
+            other_level, other_listed = _place(other)
+            if other_level >= level and other_listed != listed:
+                upward.append(f"{module} imports {other}")
+    assert not upward

@@ -1,0 +1,406 @@
+"""Scene files: what loads, and what is refused in one line that says where and what."""
+
+import pathlib
+import re
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight import InputError, lambert, load_mesh, load_scene, phong, plane, write_image
+from tests.shared_data import shared
+
+GOOD = """
+[camera]
+origin = [0, 1, 3]
+target = [0, 0, 0]
+up = [0, 1, 0]
+fov_y = 40
+width = 8
+height = 6
+[environment]
+file = "sky.exr"
+rotate_y = 30.0
+scale = 2
+[material.paper]
+type = "lambert"
+albedo = [0.5, 0.4, 0.3]
+[material.lacquer]
+type = "phong"
+diffuse = 0.1
+specular = [0.2, 0.3, 0.4]
+exponent = 12
+[material.brushed]
+type = "lafortune"
+diffuse = 0.05
+[[material.brushed.lobes]]
+C = [-1.0, -1.0, 0.5]
+exponent = 3
+specular = 0.5
+[[mesh]]
+primitive = "plane"
+size = [2, 3]
+resolution = 2
+normalize = 1.5
+transform = [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
+material = "paper"
+[[mesh]]
+primitive = "sphere"
+radius = 0.25
+resolution = 2
+material = "lacquer"
+[[mesh]]
+primitive = "box"
+size = [1, 2, 3]
+resolution = 1
+material = "brushed"
+"""
+
+# The same without what most refusals are not about.
+SMALL = """
+[camera]
+origin = [0, 1, 3]
+target = [0, 0, 0]
+[material.paper]
+type = "lambert"
+albedo = 0.5
+[[mesh]]
+primitive = "plane"
+resolution = 2
+material = "paper"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: pathlib.Path) -> pathlib.Path:
+    write_image(tmp_path / "sky.exr", np.ones((4, 8, 3)))
+    return tmp_path
+
+
+def _write(folder: pathlib.Path, text: str) -> pathlib.Path:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _refusal(folder: pathlib.Path, text: str, names: str = "scene.toml") -> str:
+    """The message with which a scene is refused: one line that names the file."""
+    with pytest.raises(InputError) as caught:
+        load_scene(_write(folder, text))
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    assert names in message
+    return message
+
+
+def _changed(text: str, old: str, new: str) -> str:
+    assert text.count(old) == 1
+    return text.replace(old, new)
+
+
+def _brdf(folder: pathlib.Path, lines: str):
+    text = _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines)
+    return load_scene(_write(folder, text)).materials["paper"]
+
+
+def _values(brdf) -> np.ndarray:
+    """A BRDF at twenty pairs of directions."""
+    directions = np.random.default_rng(1).normal(size=(2, 20, 3))
+    directions[..., 2] = np.abs(directions[..., 2])
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    pairs = zip(*jnp.asarray(directions, jnp.float32), strict=True)
+    return np.stack([np.asarray(brdf.evaluate(omega_i, omega_o)) for omega_i, omega_o in pairs])
+
+
+def test_every_key_is_read(folder):
+    scene = load_scene(_write(folder, GOOD))
+    camera, sky = scene.camera, scene.environment
+    assert (tuple(camera.origin), tuple(camera.target), tuple(camera.up)) == ((0, 1, 3), (0, 0, 0), (0, 1, 0))
+    assert (camera.fov_y, camera.width, camera.height) == (40, 8, 6)
+    assert sky is not None
+    assert (sky.rotate_y, sky.scale, sky.pixels.shape) == (30, 2, (4, 8, 3))
+    assert [(part.name, part.material) for part in scene.parts] == [
+        ("plane", "paper"),
+        ("sphere", "lacquer"),
+        ("box", "brushed"),
+    ]
+    assert scene.name == "scene"
+    floor, ball, block = (part.mesh.vertices for part in scene.parts)
+    # Longest side 1.5, then moved by (1, 2, 3).
+    np.testing.assert_allclose([floor.min(axis=0), floor.max(axis=0)], [[0.5, 2, 2.25], [1.5, 2, 3.75]], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(ball, axis=-1), 0.25)
+    np.testing.assert_allclose(np.ptp(block, axis=0), [1, 2, 3])
+    np.testing.assert_allclose(_values(scene.materials["paper"]), _values(lambert([0.5, 0.4, 0.3])))
+    np.testing.assert_allclose(_values(scene.materials["lacquer"]), _values(phong(0.1, [0.2, 0.3, 0.4], 12)))
+
+
+def test_defaults(folder):
+    scene = load_scene(_write(folder, SMALL))
+    assert scene.environment is None
+    assert (scene.camera.width, scene.camera.height, scene.camera.fov_y) == (512, 512, 38)
+    np.testing.assert_array_equal(scene.parts[0].mesh.vertices, plane(resolution=2).vertices)
+
+
+def test_mesh_file_is_relative_to_the_scene(folder):
+    (folder / "sub").mkdir()
+    (folder / "sub" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    scene = load_scene(_write(folder, _changed(SMALL, 'primitive = "plane"\nresolution = 2', 'file = "sub/one.obj"')))
+    assert scene.parts[0].name == "one.obj"
+    np.testing.assert_array_equal(scene.parts[0].mesh.vertices, load_mesh(folder / "sub" / "one.obj").vertices)
+
+
+def test_notes_name_the_part(folder):
+    (folder / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 3\n")
+    write_image(folder / "sky.exr", np.full((4, 8, 3), -1.0))
+    text = _changed(SMALL, 'primitive = "plane"\nresolution = 2', 'file = "one.obj"')
+    scene = load_scene(_write(folder, text + '[environment]\nfile = "sky.exr"\n'))
+    assert len(scene.notes) == 2
+    assert scene.notes[0].startswith("one.obj: ")
+    assert scene.notes[1].startswith("sky.exr: 32 ")
+
+
+@pytest.mark.parametrize("name", ["bunny_lambert", "bunny_phong", "spot_lafortune"])
+def test_reference_scene_loads(name: str):
+    scene = load_scene(shared("reference", f"{name}.toml"))
+    assert scene.name == name
+    assert set(scene.materials) == {"object", "floor"}
+    assert [part.material for part in scene.parts] == ["object", "floor"]
+    assert (scene.camera.width, scene.camera.height) == (256, 256)
+    assert scene.environment is not None
+    assert scene.environment.scale == (10 if name == "bunny_phong" else 1)
+    figure = scene.parts[0].mesh.vertices
+    assert np.ptp(figure, axis=0).max() == pytest.approx(1)
+    assert figure[:, 1].min() == pytest.approx(0, abs=1e-12)
+    assert len(scene.parts[1].mesh.vertices) == 177**2
+    assert scene.materials["object"].is_constant == (name == "bunny_lambert")
+
+
+@pytest.mark.parametrize("name", ["room_point", "room_spot", "room_glossy"])
+def test_local_lights_are_refused(name: str):
+    path = shared("reference", f"{name}.toml")
+    with pytest.raises(InputError, match=re.escape(f"{path}: [[light]] is not supported yet")) as caught:
+        load_scene(path)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+# A key, in the table it belongs to, and how it may be misspelt where it need not be there.
+@pytest.mark.parametrize(
+    ("line", "misspelt", "right"),
+    [
+        ("[camera]", "camra", "camera"),
+        ("origin = ", "orgin", "origin"),
+        ("target = ", "traget", "target"),
+        ("up = ", "upp", "up"),
+        ("fov_y = ", "fovy", "fov_y"),
+        ("width = ", "widht", "width"),
+        ("height = ", "heigth", "height"),
+        ("[environment]", "enviroment", "environment"),
+        ("file = ", "fil", "file"),
+        ("rotate_y = ", "rotatey", "rotate_y"),
+        ("scale = ", "scal", "scale"),
+        ("albedo = ", "albdo", "albedo"),
+        ("radius = ", "raduis", "radius"),
+        ("normalize = ", "normalise", "normalize"),
+        ("transform = ", "tranform", "transform"),
+    ],
+)
+def test_misspelt_key_is_told_the_right_one(folder, line: str, misspelt: str, right: str):
+    message = _refusal(folder, _changed(GOOD, line, line.replace(right, misspelt)))
+    assert f"'{misspelt}' is not known; did you mean '{right}'?" in message
+
+
+@pytest.mark.parametrize(
+    ("lines", "misspelt", "right"),
+    [
+        ('type = "phong"\ndifuse = 0.1\nspecular = 0.2\nexponent = 3', "difuse", "diffuse"),
+        ('type = "phong"\ndiffuse = 0.1\nspecualr = 0.2\nexponent = 3', "specualr", "specular"),
+        ('type = "phong"\ndiffuse = 0.1\nspecular = 0.2\nexponnet = 3', "exponnet", "exponent"),
+        ('type = "lafortune"\ndiffuse = 0.1\nlobs = []', "lobs", "lobes"),
+        ('tpye = "lambert"\nalbedo = 0.5', "tpye", "type"),
+        ('type = "lambert"\nalbedo = 0.5\nnormalmap = "x.png"', "normalmap", "normal_map"),
+    ],
+)
+def test_misspelt_material_key_is_told_the_right_one(folder, lines: str, misspelt: str, right: str):
+    message = _refusal(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines))
+    assert f"'{misspelt}' is not known; did you mean '{right}'?" in message
+    assert "[paper]" in message
+
+
+@pytest.mark.parametrize(
+    ("line", "misspelt", "right"),
+    [
+        ("primitive = ", "primitve", "primitive"),
+        ("resolution = ", "resoltion", "resolution"),
+    ],
+)
+def test_misspelt_mesh_key_is_named(folder, line: str, misspelt: str, right: str):
+    message = _refusal(folder, _changed(SMALL, line, line.replace(right, misspelt)))
+    assert "[[mesh]] number 1" in message
+    assert right in message
+
+
+def test_misspelt_top_level_array(folder):
+    message = _refusal(folder, SMALL + '[[lihgt]]\ntype = "point"\n')
+    assert "'lihgt' is not known; did you mean 'light'?" in message
+
+
+def test_unknown_key_without_a_like_lists_the_known(folder):
+    message = _refusal(folder, _changed(SMALL, "target = ", "zzz = 1\ntarget = "))
+    assert "'zzz' is not known; known are fov_y, height, origin, target, up, width" in message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("[0, 1, 3]", "[0, 1]", "[camera]: 'origin' must be 3 numbers"),
+        ("[0, 1, 3]", "3", "[camera]: 'origin' must be 3 numbers"),
+        ("[0, 1, 3]", '"eye"', "[camera]: 'origin' must be 3 numbers"),
+        ("[0, 1, 3]", "[0, [1], 3]", "[camera]: 'origin' must be 3 numbers"),
+        ("[0, 1, 3]", "[0, nan, 3]", "[camera]: 'origin' must be finite"),
+        ("[0, 1, 3]", "[0, -inf, 3]", "[camera]: 'origin' must be finite"),
+        ("[0, 1, 3]", "[0, 0, 0]", "[camera]: the camera's view direction"),
+        ("[0, 0, 0]", "[0, 0, 0]\nfov_y = 0", "[camera]: the camera's fov_y is 0.0"),
+        ("[0, 0, 0]", "[0, 0, 0]\nfov_y = [1]", "[camera]: 'fov_y' must be a number"),
+        ("[0, 0, 0]", "[0, 0, 0]\nwidth = 1.5", "[camera]: 'width' must be a whole number"),
+        ("[0, 0, 0]", "[0, 0, 0]\nheight = true", "[camera]: 'height' must be a whole number"),
+        ("[0, 0, 0]", "[0, 0, 0]\nheight = 0", "[camera]: the camera's image is 512 × 0"),
+        ("albedo = 0.5", "albedo = [0.5, 0.5]", "[paper]: 'albedo' must be a number or 3 numbers"),
+        ("albedo = 0.5", "albedo = -0.5", "[paper]: 'albedo' must not be negative"),
+        ("albedo = 0.5", "albedo = nan", "[paper]: 'albedo' must be finite"),
+        ("albedo = 0.5", "albedo = true", "[paper]: 'albedo' must be a number"),
+        ('"lambert"', "3", "[paper]: 'type' must be text"),
+        ('"lambert"', '"lambart"', "[paper]: type 'lambart' is not known; known are lambert, phong, lafortune"),
+        ('"plane"', '"plain"', "number 1: primitive 'plain' is not known; known are plane, sphere, box"),
+        ('material = "paper"', 'material = "papre"', "no [material.papre]; did you mean 'paper'?"),
+        ('material = "paper"', 'material = "zzz"', "there is no [material.zzz]"),
+        ('material = "paper"', "", "number 1: 'material' is missing"),
+        ("resolution = 2", "resolution = 2.0", "'resolution' must be a whole number"),
+        ("resolution = 2", "transform = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]", "'transform' must be 4 × 4 numbers"),
+        ("resolution = 2", 'file = "a.ply"', "give either 'file' or 'primitive'"),
+        ("[[mesh]]", "[mesh]", "'mesh' must be written as [[mesh]]"),
+        ("[camera]", "[[camera]]", "[camera] must be a table"),
+        ("[material.paper]", "[[material]]", "[material] must be a table"),
+    ],
+)
+def test_wrong_values_are_refused(folder, old: str, new: str, where: str):
+    assert where in _refusal(folder, _changed(SMALL, old, new))
+
+
+def test_scene_without_mesh(folder):
+    assert "the scene has no [[mesh]]" in _refusal(folder, SMALL.partition("[[mesh]]")[0])
+
+
+def test_scene_without_camera(folder):
+    assert "[material" not in _refusal(folder, "")
+    assert "'camera' is missing" in _refusal(folder, "")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("albedo = 0.5", 'albedo = "wood.png"', "'albedo' as an image is not supported yet"),
+        ("albedo = 0.5", 'albedo = 0.5\nnormal_map = "bumps.png"', "'normal_map' is not supported yet"),
+        ("resolution = 2", "two_sided = true", "two-sided meshes are not supported yet"),
+        ("resolution = 2", 'tangents = "uv"', "UV tangents are not supported yet"),
+        ("resolution = 2", 'materials = {top = "paper"}', "materials by part are not supported yet"),
+        ('type = "lambert"', 'type = "measured"', "type 'measured' is not supported yet"),
+        ('type = "lambert"', 'type = "fitted"', "type 'fitted' is not supported yet"),
+        ('type = "lambert"', 'type = "sbrdf"', "type 'sbrdf' is not supported yet"),
+        ('type = "lambert"', 'type = "ashikhmin_shirley"', "type 'ashikhmin_shirley' is not supported yet"),
+        ("[[mesh]]", '[[light]]\ntype = "point"\n[[mesh]]', "[[light]] is not supported yet"),
+    ],
+)
+def test_what_is_not_supported_is_refused(folder, old: str, new: str, what: str):
+    assert what in _refusal(folder, _changed(SMALL, old, new))
+
+
+@pytest.mark.parametrize("text", ["camera = = 1", "[camera", 'a = "b', "[camera]\n[camera]\n", "\x00"])
+def test_invalid_toml(folder, text: str):
+    assert "not a TOML file" in _refusal(folder, text)
+
+
+def test_unreadable_scene_files(folder):
+    for path in (folder, folder / "none.toml"):
+        with pytest.raises(InputError, match=re.escape(f"{path}: cannot be read as a scene: ")) as caught:
+            load_scene(path)
+        assert len(str(caught.value).splitlines()) == 1
+    path = folder / "latin.toml"
+    path.write_bytes(b'# \xe9t\xe9\n[camera]\nname = "\xff"\n')
+    with pytest.raises(InputError, match=re.escape(f"{path}: cannot be read as a scene: it is not UTF-8 text")):
+        load_scene(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "names"),
+    [
+        ('primitive = "plane"\nresolution = 2', 'file = "none.ply"', "none.ply"),
+        ('primitive = "plane"\nresolution = 2', 'file = "sky.exr"', "sky.exr"),
+        ("[[mesh]]", '[environment]\nfile = "none.hdr"\n[[mesh]]', "none.hdr"),
+        ("[[mesh]]", '[environment]\nfile = "scene.toml"\n[[mesh]]', "scene.toml"),
+        ("[[mesh]]", '[environment]\nfile = "square.exr"\n[[mesh]]', "square.exr has shape"),
+        ("[[mesh]]", '[environment]\nfile = "nan.exr"\n[[mesh]]', "nan.exr has 1 NaN or infinite pixels"),
+        ("[[mesh]]", '[environment]\nfile = "sky.exr"\nscale = -1\n[[mesh]]', "sky.exr: rotate_y must be"),
+    ],
+)
+def test_bad_files_are_named(folder, old: str, new: str, names: str):
+    write_image(folder / "square.exr", np.ones((4, 4, 3)))
+    pixels = np.ones((4, 8, 3))
+    pixels[1, 2, 0] = np.nan
+    write_image(folder / "nan.exr", pixels)
+    _refusal(folder, _changed(SMALL, old, new), names)
+
+
+def test_nonfinite_environment_is_zeroed_when_asked(folder):
+    pixels = np.ones((4, 8, 3))
+    pixels[1, 2, 0] = np.inf
+    write_image(folder / "sky.exr", pixels)
+    scene = load_scene(_write(folder, SMALL + '[environment]\nfile = "sky.exr"\n'), zero_nonfinite=True)
+    assert scene.environment is not None
+    assert scene.environment.pixels.sum() == 3 * 31
+    assert scene.notes == ("sky.exr: 1 NaN or infinite pixels were set to 0",)
+
+
+def test_lafortune_numbers_may_differ_by_channel(folder):
+    head = 'type = "lafortune"\ndiffuse = {0}\nlobes = [{{C = {1}, exponent = {2}, specular = {3}}}]'
+    C = [[-1, -1, 0.9], [-0.8, -0.9, 0.7], [0.6, 0.5, 0.95]]
+    diffuse, exponent, specular = [0.1, 0.2, 0.3], [2, 5, 9], [0.4, 0.5, 0.6]
+    together = _values(_brdf(folder, head.format(diffuse, C, exponent, specular)))
+    assert together.shape == (20, 3)
+    for c in range(3):
+        alone = _values(_brdf(folder, head.format(diffuse[c], C[c], exponent[c], specular[c])))
+        np.testing.assert_allclose(together[:, c], alone[:, c], rtol=1e-6)
+    assert np.ptp(together, axis=-1).max() > 0.05
+
+
+def test_peak_and_specular_forms_agree(folder):
+    head = 'type = "lafortune"\ndiffuse = 0.1\nlobes = [{{C = [-0.8, -0.8, 0.5], exponent = 7, {}}}]'
+    specular = _values(_brdf(folder, head.format("specular = [1, 2, 3]")))
+    largest = [factor * 0.8**7 for factor in (1, 2, 3)]
+    np.testing.assert_allclose(_values(_brdf(folder, head.format(f"peak = {largest}"))), specular, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lobe", "what"),
+    [
+        ("C = [-1, -1, 1], exponent = 3", "exactly one of 'specular' and 'peak'"),
+        ("C = [-1, -1, 1], exponent = 3, specular = 1, peak = 1", "exactly one of 'specular' and 'peak'"),
+        ("C = [-1, -1], exponent = 3, specular = 1", "'C' must be 3 numbers or 3 × 3 numbers"),
+        ("C = [-1, -1, 1], exponent = -3, specular = 1", "'exponent' must not be negative"),
+        ("C = [-1, -1, 1], exponent = [1, 2], specular = 1", "'exponent' must be a number or 3 numbers"),
+        ("C = [-1.1, -1, 1], exponent = 1e4, specular = 1", "give 'peak', its largest value, instead"),
+        ("C = [-1, -1, inf], exponent = 3, specular = 1", "'C' must be finite"),
+        ("C = [-1, -1, 1], exponent = 3, specular = 1, shape = 2", "'shape' is not known"),
+    ],
+)
+def test_bad_lobes_are_refused(folder, lobe: str, what: str):
+    lines = f'type = "lafortune"\ndiffuse = 0.1\nlobes = [{{{lobe}}}]'
+    message = _refusal(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines))
+    assert what in message
+    assert "[paper]" in message
+
+
+def test_second_lobe_is_named(folder):
+    good, bad = "C = [-1, -1, 1], exponent = 3, peak = 1", "C = [-1, -1, 1], exponent = nan, peak = 1"
+    lines = f'type = "lafortune"\ndiffuse = 0.1\nlobes = [{{{good}}}, {{{bad}}}]'
+    message = _refusal(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines))
+    assert "[paper]: [[lobes]] number 2: 'exponent' must be finite" in message
