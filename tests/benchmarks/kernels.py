@@ -39,6 +39,7 @@ def main():
     if arguments.pinned is not None:
         _pinned_rows(arguments.pinned == "real", arguments.store, 5 if arguments.quick else 15)
         return
+    shared("reference")
     quick = arguments.quick
     parts = {
         "visibility": lambda report: visibility(report, groups=4 if quick else 16, runs=3 if quick else 9),
@@ -199,7 +200,7 @@ def rows(report: Report, store: pathlib.Path | None, runs: int):
         table.append([f"{label}: ours, process pinned to one core", ours, ""])
         table.append([f"{label}: scipy, the same", theirs, f"{1 / ours.over(theirs):.2f}"])
     report.table(["what", "time", "ours is faster by"], table)
-    if not store:
+    if store is None:
         notes.append("real indices were not measured, since no --store was given")
     text = "; ".join(notes)
     report.text(f"{text[0].upper()}{text[1:]}.")

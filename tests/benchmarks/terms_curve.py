@@ -16,23 +16,29 @@ GROUP = 128
 
 
 def main():
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.terms_curve", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="few pixels, resolution 16; RESULTS.md is left as it is")
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks.terms_curve",
+        description=__doc__,
+        epilog="RESULTS.md is written only without options.",
+    )
+    parser.add_argument("--quick", action="store_true", help="few pixels, resolution 16")
     parser.add_argument("--pixels", type=int, default=1536, help="size of the subset")
     parser.add_argument("--resolution", type=int, default=64, help="side of the cube map's faces")
     parser.add_argument("--seed", type=int, default=0, help="of the subset")
     parser.add_argument("--factor-resolutions", type=int, nargs="+", default=[48, 96])
     arguments = parser.parse_args()
+    shared("reference")
+    write = arguments == parser.parse_args([])
     if arguments.quick:
         arguments.pixels, arguments.resolution = 256, 16
     parameters = (
         f"{SCENE} under its own light, {arguments.pixels:,} covered pixels of the bunny drawn with seed "
         f"{arguments.seed}, resolution {arguments.resolution}, streamed (no wavelets)"
     )
-    with Report("terms_curve", "Terms of a glossy BRDF", parameters, not arguments.quick) as report:
+    with Report("terms_curve", "Terms of a glossy BRDF", parameters, write) as report:
         subset = Subset.draw(arguments.pixels, arguments.seed)
         curves = measure(report, subset, arguments.resolution, arguments.factor_resolutions)
-        plot(report, curves, not arguments.quick)
+        plot(report, curves, write)
         report.speed()
 
 
