@@ -105,7 +105,7 @@ def _overlaps(height: int, width: int, resolution: int) -> tuple[np.ndarray, np.
     """
     edge = np.linspace(-1, 1, resolution + 1)
     quarter = np.arctan(edge) / (2 * np.pi)
-    meridians = [np.linspace(0, 1, width + 1), np.linspace(0, 1, 16 * resolution + 1)]
+    meridians = [np.linspace(0, 1, width + 1), np.linspace(0, 1, 32 * resolution + 1)]
     meridians += [quarter + face for face in (0, 0.25, 0.5, 0.75, 1)]
     cuts = np.unique(np.concatenate(meridians).clip(0, 1).round(14))
     middle, half = (cuts[1:] + cuts[:-1]) / 2, (cuts[1:] - cuts[:-1]) / 2
@@ -132,9 +132,12 @@ def _overlaps(height: int, width: int, resolution: int) -> tuple[np.ndarray, np.
     key, inverse = np.unique(texel[some] * (height * width) + pixel[some], return_inverse=True)
     shared = np.bincount(inverse, shared[some])
     texel, pixel = key // (height * width), key % (height * width)
-    # Balance what the rule left: each pixel and each texel has exactly its own solid angle.
+    # Balance what the rule left, by turns, until each pixel and each texel has its own solid angle.
     texel_area, pixel_area = cubemap.solid_angles(resolution), np.repeat(solid_angles(height, width), width)
-    for _ in range(4):
+    for _ in range(60):
         shared *= (pixel_area / np.bincount(pixel, shared, pixel_area.size))[pixel]
-        shared *= (texel_area / np.bincount(texel, shared, texel_area.size))[texel]
+        excess = texel_area / np.bincount(texel, shared, texel_area.size)
+        shared *= excess[texel]
+        if np.abs(excess - 1).max() < 1e-6:
+            break
     return texel, pixel, shared

@@ -32,7 +32,6 @@ class Relighter:
 
     def __init__(self, transport: Transport):
         self.transport = transport
-        self._light = jax.jit(functools.partial(_light_vector, basis=transport.basis))
 
     @classmethod
     def open(cls, folder: pathlib.Path) -> "Relighter":
@@ -43,7 +42,7 @@ class Relighter:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]
         resampling = latlong.area_resampling(height, width, self.transport.settings.resolution)
-        return self._light(jnp.asarray(pixels), rotate_y, scale, resampling)
+        return _light_vector(jnp.asarray(pixels), rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator."""
@@ -101,8 +100,7 @@ class Relighter:
         return np.concatenate([surface, view.covered[..., None]], axis=-1, dtype=np.float32)
 
 
-def _light_vector(pixels, rotate_y, scale, resampling, *, basis):
-    return encode(pixels, rotate_y, scale, resampling, basis)
+_light_vector = jax.jit(encode)
 
 
 @jax.jit
