@@ -1,0 +1,118 @@
+"""Haar wavelets against PyWavelets, and their laws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import pywt
+
+from jaxrelight.basis import haar
+
+pytestmark = pytest.mark.usefixtures("strict_ranks")
+
+
+forward, inverse = jax.jit(haar.forward), jax.jit(haar.inverse)
+
+
+def faces(n: int, *lead: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(*lead, n, n))
+
+
+def pyramid(face: np.ndarray) -> np.ndarray:
+    """PyWavelets' transform in its array layout."""
+    if face.shape[0] == 1:
+        return face
+    return pywt.coeffs_to_array(pywt.wavedec2(face, "haar", mode="periodization"))[0]
+
+
+@pytest.mark.parametrize("n", [1, 2, 4, 16, 64])
+def test_is_pywavelets(n):
+    data = faces(n, 3).astype(np.float32)
+    found = forward(jnp.asarray(data))
+    assert found.dtype == np.float32
+    expected = np.stack([pyramid(face) for face in data.astype(float)])
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("n", [1, 2, 8, 32])
+def test_is_pywavelets_in_float64(x64, n):
+    data = faces(n)
+    found = forward(jnp.asarray(data))
+    assert found.dtype == np.float64
+    np.testing.assert_allclose(found, pyramid(data), atol=1e-12)
+    np.testing.assert_allclose(inverse(found), data, atol=1e-12)
+    np.testing.assert_allclose(jnp.sum(found**2), np.sum(data**2), rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 4, 64])
+def test_round_trip_and_parseval(n):
+    data = faces(n, 2, 3).astype(np.float32)
+    coefficients = forward(jnp.asarray(data))
+    np.testing.assert_allclose(inverse(coefficients), data, atol=1e-6 * np.abs(data).max())
+    np.testing.assert_allclose(forward(inverse(jnp.asarray(data))), data, atol=1e-6 * np.abs(data).max())
+    energy = np.sum(data.astype(float) ** 2, axis=(-1, -2))
+    np.testing.assert_allclose(np.sum(np.asarray(coefficients, float) ** 2, axis=(-1, -2)), energy, rtol=1e-6)
+
+
+def test_layout_of_details():
+    """A step to the right is horizontal detail, a step down vertical, a chessboard diagonal."""
+    n, m = 4, 2
+    right, down = np.tile([1.0, 0], (n, n // 2)), np.tile([[1.0], [0]], (n // 2, n))
+    quarters = {"average": np.s_[:m, :m], "right": np.s_[:m, m:], "down": np.s_[m:, :m], "both": np.s_[m:, m:]}
+    for data, quarter in [(right, "right"), (down, "down"), (2 * np.abs(right - down) - 1, "both")]:
+        coefficients = np.asarray(forward(jnp.asarray(data)))
+        for name, part in quarters.items():
+            if name == quarter:
+                assert (np.abs(coefficients[part]) > 0.5).all()
+            elif name != "average":
+                np.testing.assert_array_equal(coefficients[part], 0)
+    constant = np.asarray(forward(jnp.ones((n, n))))
+    assert constant[0, 0] == n
+    assert np.count_nonzero(constant) == 1
+
+
+@pytest.mark.parametrize("n", [2, 4])
+def test_inverse_is_the_transpose(x64, n):
+    size = n * n
+    basis = jnp.eye(size).reshape(size, n, n)
+    matrix, back = (np.asarray(side(basis)).reshape(size, size) for side in (forward, inverse))
+    np.testing.assert_allclose(back, matrix.T, atol=1e-15)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(size), atol=1e-14)
+    derivative = jax.jit(jax.jacrev(haar.forward))(basis[0]).reshape(size, size)
+    np.testing.assert_allclose(derivative, matrix.T, atol=1e-15)
+
+
+def test_adjoint_identity_and_linearity():
+    x, y = (jnp.asarray(faces(16, seed=seed), jnp.float32) for seed in (0, 1))
+    size = np.linalg.norm(x) * np.linalg.norm(y)
+    assert abs(np.vdot(forward(x), y) - np.vdot(x, inverse(y))) < 1e-6 * size
+    together = forward(2 * x - 3 * y)
+    np.testing.assert_allclose(together, 2 * forward(x) - 3 * forward(y), atol=1e-5)
+
+
+@pytest.mark.parametrize("lead", [(), (2,), (2, 3)])
+def test_haar_faces_treat_each_face_by_itself(lead):
+    n = 4
+    basis = haar.HaarFaces(n)
+    vectors = np.random.default_rng(0).normal(size=(*lead, 6 * n * n)).astype(np.float32)
+    coefficients = jax.jit(basis.encode)(jnp.asarray(vectors))
+    assert coefficients.shape == vectors.shape
+    each = [pyramid(face) for face in vectors.astype(float).reshape(-1, n, n)]
+    np.testing.assert_allclose(coefficients, np.reshape(each, vectors.shape), atol=1e-6)
+    np.testing.assert_allclose(jax.jit(basis.decode)(coefficients), vectors, atol=1e-6)
+
+
+def test_haar_faces_pass_through_jit_as_a_static_part():
+    traces = []
+
+    @jax.jit
+    def encode(basis, x):
+        traces.append(basis.resolution)
+        return basis.encode(x)
+
+    x = jnp.arange(96.0)
+    for factor in (1, 2):
+        np.testing.assert_allclose(
+            encode(haar.HaarFaces(4), factor * x), haar.HaarFaces(4).encode(factor * x), rtol=1e-6
+        )
+    assert traces == [4]

@@ -1,0 +1,205 @@
+"""Lat-long maps: conventions, resampling by area, rotation."""
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.basis import cubemap, latlong
+
+# Height, width, side of the cube map.
+SIZES = [(8, 16, 4), (8, 16, 7), (6, 12, 5), (32, 64, 4), (64, 128, 16)]
+KEEPING_ENERGY = [(8, 16, 4), (16, 32, 4), (64, 128, 4)]
+
+
+apply = jax.jit(latlong.AreaResampling.apply)
+rotate: Any = jax.jit(latlong.rotate)
+
+
+@functools.cache
+def shares(height: int, width: int, resolution: int) -> np.ndarray:
+    """Weights [texel, pixel] of the resampling, in float64."""
+    resampling = latlong.area_resampling(height, width, resolution)
+    parts = []
+    for group in resampling.groups:
+        n = group.indices.shape[-1]
+        indices, values = (
+            np.asarray(part).reshape(-1, n)[: group.row_count] for part in (group.indices, group.values[0])
+        )
+        rows = np.zeros((group.row_count, height * width))
+        np.add.at(rows, (np.arange(group.row_count)[:, None], indices), values)
+        parts.append(rows)
+    return np.concatenate(parts)[np.asarray(resampling.order)]
+
+
+def test_conventions():
+    directions = latlong.directions(np.array([0.5, 0.25, 0.75, 0.0, 1.0]), np.full(5, 0.5))
+    expected = [[0, 0, 1], [1, 0, 0], [-1, 0, 0], [0, 0, -1], [0, 0, -1]]
+    np.testing.assert_allclose(directions, expected, atol=1e-15)
+    np.testing.assert_allclose(
+        latlong.directions(np.array([0.3, 0.3]), np.array([0, 1])), [[0, 1, 0], [0, -1, 0]], atol=1e-15
+    )
+
+
+def test_directions_and_coordinates_are_inverse():
+    u, v = np.meshgrid((np.arange(37) + 0.5) / 37, (np.arange(19) + 0.5) / 19)
+    directions = latlong.directions(u, v)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-15)
+    np.testing.assert_allclose(latlong.coordinates(directions), (u, v), atol=1e-14)
+    random = np.random.default_rng(0).normal(size=(4, 50, 3))
+    random /= np.linalg.norm(random, axis=-1, keepdims=True)
+    u, v = latlong.coordinates(random)
+    assert min(u.min(), v.min()) >= 0
+    assert max(u.max(), v.max()) <= 1
+    np.testing.assert_allclose(latlong.directions(u, v), random, atol=1e-14)
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 2), (8, 16), (64, 128)])
+def test_solid_angles_are_those_of_the_rows(height, width):
+    angles = latlong.solid_angles(height, width)
+    assert abs(angles.sum() * width - 4 * np.pi) < 1e-12
+    edges = np.pi * np.arange(height + 1) / height
+    np.testing.assert_allclose(angles, 2 * np.pi / width * (np.cos(edges[:-1]) - np.cos(edges[1:])), atol=1e-14)
+
+
+@pytest.mark.parametrize(("height", "width", "resolution"), KEEPING_ENERGY)
+def test_every_hot_pixel_keeps_its_energy(height, width, resolution):
+    """Column by column of the weights: any single pixel, those at the poles and at the seam included."""
+    given_out = (cubemap.solid_angles(resolution) @ shares(height, width, resolution)).reshape(height, width)
+    own = np.broadcast_to(latlong.solid_angles(height, width)[:, None], (height, width))
+    np.testing.assert_allclose(given_out, own, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (0, 9), (3, 8), (7, 15)])
+def test_a_hot_pixel_of_a_map_keeps_its_energy_and_place(row, column):
+    pixels = np.zeros((8, 16, 3), np.float32)
+    pixels[row, column] = [1e5, 1, 0]
+    texels = np.asarray(apply(latlong.area_resampling(8, 16, 4), jnp.asarray(pixels)))
+    energy = cubemap.solid_angles(4) @ texels.astype(float)
+    np.testing.assert_allclose(energy, latlong.solid_angles(8, 16)[row] * pixels[row, column], rtol=1e-5)
+    direction = latlong.directions(np.array((column + 0.5) / 16), np.array((row + 0.5) / 8))
+    assert texels[cubemap.texel_of(direction, 4), 0] > 0
+    assert (cubemap.directions(4)[texels[:, 0] > 0] @ direction).min() > np.cos(0.7)
+
+
+@pytest.mark.parametrize(("height", "width", "resolution"), SIZES)
+def test_every_texel_is_a_mean_so_a_constant_map_stays_constant(height, width, resolution):
+    weights = shares(height, width, resolution)
+    assert weights.min() >= 0
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-6)
+
+
+@pytest.mark.parametrize(("height", "width", "resolution"), SIZES)
+def test_resampling_is_the_mean_over_each_texel(height, width, resolution):
+    """Against brute force: the mean of many look-ups in every texel, weighted by solid angle."""
+    pixels = np.random.default_rng(0).uniform(size=(height, width)).astype(np.float32)
+    fine = 512 // resolution
+    n = resolution * fine
+    u, v = latlong.coordinates(cubemap.directions(n))
+    row, column = np.minimum((v * height).astype(int), height - 1), np.minimum((u * width).astype(int), width - 1)
+    weight = cubemap.solid_angles(n)
+
+    def total(samples):
+        return samples.reshape(6, resolution, fine, resolution, fine).sum(axis=(2, 4)).ravel()
+
+    expected = total(weight * pixels[row, column]) / total(weight)
+    np.testing.assert_allclose(shares(height, width, resolution) @ pixels.ravel(), expected, atol=0.02)
+
+
+@pytest.mark.parametrize(("height", "width", "resolution"), [(8, 16, 7), (64, 128, 16)])
+def test_applying_is_the_product_with_the_shares(height, width, resolution):
+    pixels = np.random.default_rng(0).uniform(size=(height, width, 2)).astype(np.float32)
+    pixels[..., 1] = 1
+    found = apply(latlong.area_resampling(height, width, resolution), jnp.asarray(pixels))
+    np.testing.assert_allclose(found, shares(height, width, resolution) @ pixels.reshape(-1, 2), rtol=1e-5)
+    np.testing.assert_allclose(found[:, 1], 1, atol=1e-6)
+
+
+def test_resampling_does_not_retrace_for_other_pixels():
+    traces = []
+
+    @jax.jit
+    def apply(resampling, pixels):
+        traces.append(1)
+        return resampling.apply(pixels)
+
+    resampling = latlong.area_resampling(8, 16, 4)
+    for value in (1.0, 2.0):
+        np.testing.assert_allclose(apply(resampling, jnp.full((8, 16, 3), value)), value, rtol=1e-6)
+    assert len(traces) == 1
+    assert latlong.area_resampling(8, 16, 4) is resampling
+
+
+def test_look_up_finds_the_constant_cell():
+    height, width = 4, 8
+    pixels = jnp.arange(32.0).reshape(height, width, 1)
+    for offset in (0.01, 0.5, 0.99):
+        u, v = np.meshgrid((np.arange(width) + offset) / width, (np.arange(height) + offset) / height)
+        np.testing.assert_array_equal(latlong.look_up(pixels, jnp.asarray(u), jnp.asarray(v)), pixels)
+        np.testing.assert_array_equal(latlong.look_up(pixels, jnp.asarray(u + 1), jnp.asarray(v)), pixels)
+    corners = latlong.look_up(pixels, jnp.asarray([0.0, 1.0]), jnp.asarray([0.0, 1.0]))
+    np.testing.assert_array_equal(corners[:, 0], [0, 24])
+
+
+@pytest.fixture
+def image():
+    return jnp.asarray(np.random.default_rng(0).uniform(size=(8, 16, 3)), jnp.float32)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 3, 16, -5, 37])
+def test_rotation_by_whole_pixels_is_a_roll(image, turns):
+    np.testing.assert_array_equal(rotate(image, turns * 22.5), jnp.roll(image, -turns, axis=1))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 1.0, 22.0, 100.3, -7.7, 1234.5])
+def test_rotation_keeps_every_rows_energy(image, degrees):
+    turned = rotate(image, degrees)
+    np.testing.assert_allclose(jnp.sum(turned, axis=1), jnp.sum(image, axis=1), rtol=1e-5)
+    assert float(turned.min()) >= 0
+
+
+def test_rotation_by_part_of_a_pixel_shares_it_by_area(image):
+    expected = 0.75 * image + 0.25 * jnp.roll(image, -1, axis=1)
+    np.testing.assert_allclose(rotate(image, 0.25 * 22.5), expected, rtol=1e-6)
+
+
+def test_rotations_add_up(image):
+    twice = rotate(rotate(image, 4 * 22.5), 7 * 22.5)
+    np.testing.assert_allclose(twice, rotate(image, 11 * 22.5), rtol=1e-6)
+    np.testing.assert_allclose(rotate(rotate(image, 4 * 22.5), 30.0), rotate(image, 120.0), rtol=1e-5)
+    np.testing.assert_allclose(rotate(image, 360.0), image, rtol=1e-6)
+
+
+def test_rotation_is_counter_clockwise_seen_from_above():
+    """What was at +z is at +x after 90 degrees, and then at −z."""
+    height, width = 8, 16
+
+    def centre(pixels):
+        u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+        total = np.einsum("hw,hwx->x", np.asarray(pixels[..., 0]), latlong.directions(u, v))
+        return total / np.linalg.norm(total)
+
+    bright = np.zeros((height, width, 1), np.float32)
+    bright[3:5, 7:9] = 1
+    np.testing.assert_allclose(centre(bright), [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(centre(rotate(jnp.asarray(bright), 90.0)), [1, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(centre(rotate(jnp.asarray(bright), 180.0)), [0, 0, -1], atol=1e-6)
+
+
+def test_gradient_in_the_angle_is_the_finite_difference(x64):
+    image = jnp.asarray(np.random.default_rng(0).uniform(size=(4, 8, 3)))
+    weight = jnp.asarray(np.random.default_rng(1).normal(size=(4, 8, 3)))
+
+    @jax.jit
+    def value(degrees):
+        return jnp.sum(weight * rotate(image, degrees))
+
+    for degrees in (10.0, 100.0, -33.0):
+        difference = (value(degrees + 1e-3) - value(degrees - 1e-3)) / 2e-3
+        np.testing.assert_allclose(jax.grad(value)(degrees), difference, rtol=1e-8)
+        np.testing.assert_allclose(jax.jacfwd(value)(degrees), difference, rtol=1e-8)
+    # At a whole pixel it is that of turning on.
+    np.testing.assert_allclose(jax.grad(value)(45.0), (value(45.0 + 1e-3) - value(45.0)) / 1e-3, rtol=1e-8)

@@ -1,0 +1,136 @@
+"""Non-linear approximation: the error is the dropped energy, and no choice is better."""
+
+import hypothesis
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.basis import truncation
+from jaxrelight.basis.truncation import Truncated, gather
+
+keep_largest = jax.jit(truncation.keep_largest, static_argnums=1)
+SHAPES = [(5, 3, 24, 6), (4, 1, 24, 1), (3, 3, 24, 23), (2, 3, 96, 16)]
+
+
+def random_rows(r: int, c: int, d: int, seed: int = 0) -> np.ndarray:
+    """Rows whose coefficients fall off over many decades, as wavelets of transport do."""
+    rng = np.random.default_rng(seed)
+    size = 10.0 ** rng.uniform(-5, 2, size=(r, 1, d))
+    return (size * rng.normal(size=(r, c, d))).astype(np.float32)
+
+
+def written_out(kept: Truncated, d: int) -> np.ndarray:
+    """Kept rows in float64 with zeros elsewhere."""
+    values = np.asarray(kept.values, float)
+    out = np.zeros((*values.shape[:2], d))
+    np.put_along_axis(out, np.broadcast_to(np.asarray(kept.indices)[:, None], values.shape), values, axis=-1)
+    return out
+
+
+@pytest.mark.parametrize(("r", "c", "d", "count"), SHAPES)
+def test_squared_error_is_the_dropped_energy(r, c, d, count):
+    rows = random_rows(r, c, d)
+    kept = keep_largest(jnp.asarray(rows), count)
+    error = np.sum((rows - written_out(kept, d)) ** 2, axis=-1)
+    np.testing.assert_allclose(kept.dropped, error, rtol=1e-5)
+    np.testing.assert_allclose(kept.total, np.sum(rows.astype(float) ** 2, axis=-1), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("r", "c", "d", "count"), SHAPES)
+def test_the_kept_set_is_the_best_one(r, c, d, count):
+    rows = random_rows(r, c, d)
+    kept = keep_largest(jnp.asarray(rows), count)
+    assert kept.indices.shape == (r, count)
+    assert kept.values.shape == (r, c, count)
+    assert (np.diff(kept.indices, axis=-1) > 0).all()
+    energy = np.sum(rows.astype(float) ** 2, axis=1)
+    best = np.sort(energy, axis=-1)[:, ::-1][:, :count]
+    found = np.take_along_axis(energy, np.asarray(kept.indices), axis=-1)
+    np.testing.assert_allclose(np.sort(found, axis=-1)[:, ::-1], best, rtol=1e-6)
+    np.testing.assert_array_equal(kept.values, gather(jnp.asarray(rows), kept.indices))
+
+
+@pytest.mark.parametrize(("r", "c", "d", "count"), SHAPES)
+def test_relit_error_is_bounded_under_any_light(r, c, d, count):
+    rows = random_rows(r, c, d)
+    kept = keep_largest(jnp.asarray(rows), count)
+    left = rows - written_out(kept, d)
+    bound = np.sqrt(np.asarray(kept.dropped, float))
+    for light in np.random.default_rng(1).normal(size=(20, d)):
+        assert (np.abs(left @ light) <= (1 + 1e-5) * np.linalg.norm(light) * bound).all()
+    # The worst light is what was dropped, and reaches the bound.
+    for row, channel in np.ndindex(r, c):
+        light = left[row, channel]
+        error = abs(left[row, channel] @ light)
+        np.testing.assert_allclose(error, np.linalg.norm(light) * bound[row, channel], rtol=1e-5)
+        assert (np.abs(left @ light) <= (1 + 1e-5) * np.linalg.norm(light) * bound).all()
+
+
+def test_small_dropped_energy_is_not_lost_beside_a_large_total():
+    row = np.full((1, 1, 24), 1e-3, np.float32)
+    row[..., 7] = 1e5
+    kept = keep_largest(jnp.asarray(row), 1)
+    np.testing.assert_allclose(kept.dropped, 23e-6, rtol=1e-5)
+    assert kept.indices.tolist() == [[7]]
+
+
+def test_nothing_is_dropped_with_all_coefficients():
+    rows = random_rows(3, 3, 24)
+    kept = keep_largest(jnp.asarray(rows), 24)
+    np.testing.assert_array_equal(kept.dropped, 0)
+    np.testing.assert_array_equal(kept.indices, np.broadcast_to(np.arange(24), (3, 24)))
+    np.testing.assert_array_equal(kept.values, rows)
+
+
+def test_ties_and_empty_rows():
+    ties = keep_largest(jnp.ones((2, 3, 24)), 5)
+    assert all(len(set(row)) == 5 for row in ties.indices.tolist())
+    np.testing.assert_array_equal(ties.dropped, 19)
+    np.testing.assert_array_equal(ties.total, 24)
+    empty = keep_largest(jnp.zeros((2, 3, 24)), 5)
+    assert all(len(set(row)) == 5 for row in empty.indices.tolist())
+    np.testing.assert_array_equal(empty.values, 0)
+    np.testing.assert_array_equal(empty.dropped, 0)
+    np.testing.assert_array_equal(empty.total, 0)
+
+
+def test_channels_are_judged_together():
+    """1² + 1² + 1² beats 1.5² + 0 + 0."""
+    row = np.zeros((1, 3, 8), np.float32)
+    row[0, :, 2], row[0, 0, 5] = 1, 1.5
+    kept = keep_largest(jnp.asarray(row), 1)
+    assert kept.indices.tolist() == [[2]]
+    np.testing.assert_allclose(kept.dropped, [[2.25, 0, 0]])
+
+
+def test_float64(x64):
+    rows = random_rows(2, 3, 24).astype(float)
+    kept = keep_largest(jnp.asarray(rows), 6)
+    assert kept.values.dtype == kept.dropped.dtype == np.float64
+    np.testing.assert_allclose(kept.dropped, np.sum((rows - written_out(kept, 24)) ** 2, axis=-1), rtol=1e-13)
+
+
+def test_gather_is_linear_and_its_gradient_goes_to_what_was_kept():
+    rows = jnp.asarray(random_rows(2, 3, 24))
+    indices = jnp.asarray([[0, 3, 7], [1, 2, 23]])
+    weight = jnp.asarray(np.random.default_rng(2).normal(size=(2, 3, 3)), jnp.float32)
+    slope = jax.grad(lambda rows: jnp.sum(weight * gather(rows, indices)))(rows)
+    expected = np.zeros(rows.shape)
+    np.put_along_axis(expected, np.broadcast_to(np.asarray(indices)[:, None], weight.shape), weight, axis=-1)
+    np.testing.assert_allclose(slope, expected, rtol=1e-6)
+    _, tangent = jax.jvp(lambda rows: gather(rows, indices), (rows,), (2 * rows,))
+    np.testing.assert_allclose(tangent, 2 * gather(rows, indices), rtol=1e-6)
+
+
+ROW = st.lists(st.floats(-1e3, 1e3, width=32), min_size=8, max_size=8)
+
+
+@hypothesis.given(ROW, st.sampled_from([1, 3, 8]))
+def test_any_row_is_split_into_kept_and_dropped(values, count):
+    row = np.asarray(values, np.float32)[None, None]
+    kept = keep_largest(jnp.asarray(row), count)
+    energy = np.sort(row.astype(float)[0, 0] ** 2)
+    np.testing.assert_allclose(kept.dropped[0, 0], energy[: 8 - count].sum(), rtol=1e-5, atol=1e-35)
+    np.testing.assert_allclose(kept.total[0, 0], energy.sum(), rtol=1e-5, atol=1e-35)
