@@ -1,0 +1,52 @@
+"""BRDFs as JSON and back, to the last bit."""
+
+import json
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.record import from_record, to_record
+
+BRDFS = {
+    "lambert": lambda dtype: lobe_sum([0.1, 1 / 3, 0.7], [], dtype),
+    "phong": lambda dtype: lobe_sum(0.1, [lobe([-1, -1, 1], 16600 / 3, peak=1e5 / 7)], dtype),
+    "lafortune": lambda dtype: lobe_sum(
+        [0.1, 0.2, 0.3],
+        [lobe(np.array([[-0.9, -0.9, 0.7], [-1.1, -1, 0.5], [0.3, 0.2, 0.8]]), [5, 10, 2.5], peak=[1e-30, 2, 3])],
+        dtype,
+    ),
+}
+
+
+def round_trip(brdf, dtype):
+    return from_record(json.loads(json.dumps(to_record(brdf), allow_nan=False)), dtype)
+
+
+@pytest.mark.parametrize("name", BRDFS)
+def test_round_trip_is_exact(name):
+    brdf = BRDFS[name](jnp.float32)
+    assert eqx.tree_equal(round_trip(brdf, jnp.float32), brdf)
+
+
+@pytest.mark.parametrize("name", BRDFS)
+def test_round_trip_is_exact_in_float64(x64, name):
+    brdf = BRDFS[name](jnp.float64)
+    assert brdf.diffuse.dtype == np.float64
+    assert eqx.tree_equal(round_trip(brdf, jnp.float64), brdf)
+
+
+def test_what_comes_back_is_a_brdf():
+    for brdf in (lambert(0.5), phong(0.1, 0.5, 20)):
+        back = round_trip(brdf, jnp.float32)
+        assert back.is_constant == brdf.is_constant
+        assert back.channels == 3
+        omega = jnp.asarray([0.6, 0, 0.8])
+        np.testing.assert_array_equal(back.evaluate(omega, omega), brdf.evaluate(omega, omega))
+
+
+def test_other_values_have_another_record():
+    assert to_record(phong(0.1, 0.5, 20)) != to_record(phong(0.1, 0.5, 21))
+    assert to_record(phong(0.1, 0.5, 20)) == to_record(phong(0.1, 0.5, 20))

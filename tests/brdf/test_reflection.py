@@ -1,0 +1,51 @@
+"""What baking and viewing need of a material."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.lobes import phong
+from jaxrelight.brdf.reflection import FixedView, of_group
+
+BRDF = phong([0.1, 0.2, 0.3], 0.5, 7)
+
+
+def test_fixed_view_is_the_brdf_itself():
+    omega_i, omega_o = jnp.asarray([0.6, 0, 0.8]), jnp.asarray([-0.48, 0.36, 0.8])
+    reflection = FixedView(BRDF, omega_o)
+    assert (reflection.terms, reflection.channels) == (1, 3)
+    found = jnp.sum(reflection.light_side(omega_i) * reflection.view_side(omega_o), axis=0)
+    np.testing.assert_allclose(found, BRDF.evaluate(omega_i, omega_o), rtol=1e-6)
+    assert reflection.light_side(omega_i).shape == (1, 3)
+    np.testing.assert_array_equal(reflection.view_side(omega_i), [[1]])
+
+
+def test_fixed_view_reflects_nothing_to_an_eye_below_the_surface():
+    omega_i = jnp.asarray([0.6, 0, 0.8])
+    for z in (-0.8, 0.0):
+        omega_o = jnp.asarray([0.6, 0, z])
+        np.testing.assert_array_equal(FixedView(BRDF, omega_o).light_side(omega_i), 0)
+
+        def total(omega_o):
+            return jnp.sum(FixedView(BRDF, omega_o).light_side(omega_i))
+
+        np.testing.assert_array_equal(jax.grad(total)(omega_o), 0)
+
+
+def test_only_the_view_is_each_receivers_own():
+    reflection = FixedView(BRDF, jnp.zeros((4, 5, 3)))
+    own, shared = eqx.partition(reflection, reflection.per_receiver)
+    assert [x.shape for x in jax.tree.leaves(own)] == [(4, 5, 3)]
+    assert len(jax.tree.leaves(shared)) == len(jax.tree.leaves(BRDF))
+
+
+def test_of_group_picks_one_groups_views_and_all_of_what_is_shared():
+    omega_o = jnp.arange(24.0).reshape(2, 4, 3)
+    picked = of_group(FixedView(BRDF, omega_o), 1)
+    assert isinstance(picked, FixedView)
+    np.testing.assert_array_equal(picked.omega_o, omega_o[1])
+    assert eqx.tree_equal(picked.brdf, BRDF)
+    factors = Factored(jnp.ones((2, 3, 4, 4)), jnp.ones((2, 3, 4, 4)))
+    assert eqx.tree_equal(of_group(factors, 1), factors)

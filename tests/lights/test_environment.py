@@ -1,0 +1,160 @@
+"""Environments: what is mended, what is refused, and where the energy goes."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from jaxrelight.basis import cubemap, latlong
+from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.errors import InputError
+from jaxrelight.images import write_image
+from jaxrelight.lights.environment import coarsened, encode, environment, load_environment
+
+any_environment: Any = environment
+any_encode: Any = encode
+
+
+def sky(height: int = 8, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(0.1, 1, size=(height, 2 * height, 3)).astype(np.float32)
+
+
+def energy(pixels: np.ndarray) -> np.ndarray:
+    """∫ L dω of every channel in float64."""
+    return np.einsum("hwc,h->c", pixels.astype(float), latlong.solid_angles(*pixels.shape[:2]))
+
+
+def test_good_pixels_are_kept_as_they_are():
+    pixels = sky()
+    made = environment(pixels, 30, 2)
+    np.testing.assert_array_equal(made.pixels, pixels)
+    assert (made.rotate_y, made.scale, made.notes) == (30.0, 2.0, ())
+    black = environment(np.zeros((4, 8, 3)))
+    np.testing.assert_array_equal(black.pixels, 0)
+    assert black.pixels.dtype == np.float32
+    assert black.notes == ()
+
+
+def test_negative_pixels_are_clamped_and_counted():
+    pixels = sky()
+    pixels[2, 3] = [-1, 0.5, 2]
+    pixels[4, 5] = -1e-6
+    made = environment(pixels, name="sky.exr")
+    np.testing.assert_array_equal(made.pixels[2, 3], np.array([0, 0.5, 2], np.float32))
+    np.testing.assert_array_equal(made.pixels[4, 5], 0)
+    np.testing.assert_array_equal(made.pixels[0], pixels[0])
+    assert len(made.notes) == 1
+    assert made.notes[0].startswith("sky.exr: 2 pixels had negative")
+    assert pixels[2, 3, 0] == -1  # the caller's own
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_pixels_that_are_not_finite_are_refused_or_zeroed_and_counted(bad):
+    pixels = sky()
+    pixels[2, 3, 1] = bad
+    pixels[6, 0] = bad
+    with pytest.raises(InputError, match=r"sky\.exr has 2 NaN or infinite pixels, the first in row 2, column 3;"):
+        environment(pixels, name="sky.exr")
+    made = environment(pixels, name="sky.exr", zero_nonfinite=True)
+    assert np.isfinite(made.pixels).all()
+    np.testing.assert_array_equal(made.pixels[2, 3], 0)
+    np.testing.assert_array_equal(made.pixels[6, 1:], pixels[6, 1:])
+    assert len(made.notes) == 1
+    assert "2 NaN or infinite pixels were set to 0" in made.notes[0]
+
+
+def test_a_fourth_channel_is_ignored_whatever_it_is():
+    pixels = np.concatenate([sky(), np.full((8, 16, 1), np.nan, np.float32)], axis=-1)
+    np.testing.assert_array_equal(environment(pixels).pixels, sky())
+
+
+@pytest.mark.parametrize("shape", [(8, 8, 3), (8, 15, 3), (8, 16), (8, 16, 1), (8, 16, 2), (8, 16, 5), (16, 8, 3), ()])
+def test_other_shapes_are_refused(shape):
+    with pytest.raises(InputError, match="h × 2h pixels of three channels"):
+        environment(np.ones(shape))
+
+
+@pytest.mark.parametrize("placement", [(np.nan, 1), (np.inf, 1), (0, -1), (0, np.nan), (0, np.inf)])
+def test_bad_placement_is_refused(placement):
+    with pytest.raises(InputError, match="rotate_y must be finite and scale finite and not negative"):
+        any_environment(sky(), *placement)
+
+
+def test_load_reads_an_image_and_names_it(tmp_path):
+    pixels = sky()
+    pixels[0, 0, 0] = -1
+    write_image(tmp_path / "sky.exr", pixels)
+    made = load_environment(tmp_path / "sky.exr", 90, 0.5)
+    np.testing.assert_array_equal(made.pixels, np.maximum(pixels, 0))
+    assert (made.rotate_y, made.scale) == (90.0, 0.5)
+    assert made.notes[0].startswith("sky.exr: 1 pixels")
+    with pytest.raises(InputError, match="missing"):
+        load_environment(tmp_path / "missing.exr")
+
+
+@pytest.mark.parametrize(("height", "resolution", "wanted"), [(64, 4, 32), (256, 4, 32), (64, 8, 64), (8, 16, 8)])
+def test_coarsened_keeps_energy_and_stops_in_time(height, resolution, wanted):
+    pixels = sky(height)
+    pixels[height // 3, height // 2] = 1e5
+    pixels[0, 0] = 1e5
+    coarse = coarsened(pixels, resolution)
+    assert coarse.shape == (wanted, 2 * wanted, 3)
+    assert coarse.dtype == np.float32
+    np.testing.assert_allclose(energy(coarse), energy(pixels), rtol=1e-6)
+    if wanted == height:
+        np.testing.assert_array_equal(coarse, pixels)
+
+
+def test_coarsened_keeps_constants_and_odd_heights():
+    np.testing.assert_allclose(coarsened(np.ones((128, 256, 3), np.float32), 4), 1, rtol=1e-6)
+    odd = np.ones((75, 150, 3), np.float32)
+    assert coarsened(odd, 4).shape == odd.shape
+
+
+@pytest.fixture(scope="module")
+def resampling():
+    return latlong.area_resampling(16, 32, 4)
+
+
+def test_a_sun_over_a_dim_sky_keeps_both(resampling):
+    """Everywhere but at the sun the texels are those of the sky alone, and the sums are those of float64."""
+    dim = 1e-3 * sky(16)
+    sunny = dim.copy()
+    sunny[4, 20] = 1e5
+    texels = {
+        name: np.asarray(any_encode(jnp.asarray(pixels), 0.0, 1.0, resampling, cubemap.Texels(4)), float)
+        for name, pixels in (("dim", dim), ("sunny", sunny))
+    }
+    for name, pixels in (("dim", dim), ("sunny", sunny)):
+        np.testing.assert_allclose(cubemap.solid_angles(4) @ texels[name], energy(pixels), rtol=1e-5)
+    lit = texels["sunny"][:, 0] > 1
+    assert 0 < lit.sum() <= 4
+    np.testing.assert_allclose(texels["sunny"][~lit], texels["dim"][~lit], rtol=1e-6)
+    # In Haar coefficients the sky survives to the rounding of float32 beside the sun.
+    basis = HaarFaces(4)
+    light = any_encode(jnp.asarray(sunny), 0.0, 1.0, resampling, basis)
+    back = np.asarray(basis.decode(light.T).T, float)
+    np.testing.assert_allclose(back, texels["sunny"], atol=1e-6 * texels["sunny"].max())
+
+
+def test_encode_is_scaled_rotated_and_linear(resampling):
+    basis = HaarFaces(4)
+    one, other = (jnp.asarray(sky(16, seed)) for seed in (0, 1))
+    whole = any_encode(one + 2 * other, 90.0, 3.0, resampling, basis)
+    assert whole.shape == (96, 3)
+    turned = [any_encode(jnp.roll(pixels, -8, axis=1), 0.0, 1.0, resampling, basis) for pixels in (one, other)]
+    np.testing.assert_allclose(whole, 3 * (turned[0] + 2 * turned[1]), atol=1e-5 * float(jnp.abs(whole).max()))
+    np.testing.assert_allclose(
+        basis.decode(whole.T).T, resampling.apply(3 * jnp.roll(one + 2 * other, -8, axis=1)), rtol=1e-4
+    )
+
+
+def test_encode_has_gradients_in_pixels_rotation_and_scale(x64, resampling):
+    @jax.jit
+    def value(pixels, degrees, scale):
+        return any_encode(pixels, degrees, scale, resampling, HaarFaces(4))
+
+    check_grads(value, (jnp.asarray(sky(16), jnp.float64), 33.0, 1.5), 1, ["fwd", "rev"])

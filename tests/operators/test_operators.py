@@ -1,0 +1,265 @@
+"""One battery for every transport operator."""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from jaxrelight.basis import cubemap
+from jaxrelight.brdf.factors import Factored
+from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.operators.contract import Operator, as_lineax
+from jaxrelight.operators.dense import Dense
+from jaxrelight.operators.sparse_rows import _BLOCK, SparseRows, smallest_index_type, sparse_rows
+from jaxrelight.operators.stacked import Stacked
+from jaxrelight.operators.streamed import Streamed
+from jaxrelight.transport import bake
+
+D = 96  # texels of a 6×4² cube map
+
+
+def dense(r: int, c: int, dtype) -> tuple[Operator, np.ndarray]:
+    matrix = np.random.default_rng(r).normal(size=(r, c, D)).astype(dtype)
+    return Dense(jnp.asarray(matrix)), matrix.astype(float)
+
+
+def sparse(r: int, c: int, dtype, n: int = 5) -> tuple[SparseRows, np.ndarray]:
+    rng = np.random.default_rng(r)
+    indices = np.sort(rng.random((r, D)).argsort(axis=-1)[:, :n], axis=-1)
+    values = rng.normal(size=(r, c, n)).astype(dtype)
+    matrix = np.zeros((r, c, D))
+    np.put_along_axis(matrix, np.broadcast_to(indices[:, None], values.shape), values, axis=-1)
+    return sparse_rows(jnp.asarray(indices), jnp.asarray(values), D), matrix
+
+
+def stacked(dtype) -> tuple[Operator, np.ndarray]:
+    parts = [sparse(7, 3, dtype), sparse(4, 1, dtype), dense(5, 3, dtype)]
+    spread = [np.broadcast_to(matrix, (len(matrix), 3, D)) for _, matrix in parts]
+    return Stacked(tuple(part for part, _ in parts)), np.concatenate(spread)
+
+
+def streamed(c: int, dtype) -> tuple[Operator, np.ndarray]:
+    """Two groups of four receivers and two terms; the matrix by the formula."""
+    rng = np.random.default_rng(c)
+    groups, m, k, side = 2, 4, 2, 5
+    bits = rng.integers(0, 256, size=(groups, m, D // 8), dtype=np.uint8)
+    normals = rng.normal(size=(groups, m, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    frames = tangent_frame(jnp.asarray(normals, dtype))
+    maps = jnp.asarray(rng.uniform(size=(k, c, side, side)), dtype)
+    reflection = Factored(maps, maps)
+    operator = Streamed(bits.__getitem__, frames, reflection, bake.directions_for(4, dtype=dtype))
+    local = np.einsum("gmij,dj->gmdi", np.asarray(frames, float), cubemap.directions(4))
+    seen = np.unpackbits(bits, axis=-1, bitorder="little")
+    weight = seen * np.maximum(local[..., 2], 0) * cubemap.solid_angles(4)
+    look_up = jax.jit(jax.vmap(reflection.light_side))
+    light_side = np.asarray(look_up(jnp.asarray(local.reshape(-1, 3), dtype)), float).reshape(groups, m, D, k, c)
+    return operator, np.einsum("gmd,gmdkc->gmkcd", weight, light_side).reshape(-1, c, D)
+
+
+CASES = {
+    "dense": functools.partial(dense, 6, 3),
+    "sparse": functools.partial(sparse, 7, 3),
+    "sparse grey": functools.partial(sparse, 7, 1),
+    "sparse full blocks": functools.partial(sparse, 2 * _BLOCK, 1),
+    "sparse over a block": functools.partial(sparse, _BLOCK + 3, 3),
+    "stacked": stacked,
+    "streamed": functools.partial(streamed, 3),
+    "streamed grey": functools.partial(streamed, 1),
+}
+SMALL = ["dense", "sparse", "sparse grey", "stacked", "streamed", "streamed grey"]
+# `Streamed` reads its bits from the host; all others are plain pytrees. The stacked one holds one of each.
+PYTREES = ["sparse grey", "stacked"]
+
+
+@functools.cache
+def case(name: str) -> tuple[Operator, np.ndarray]:
+    return CASES[name](np.float32)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _jitted(method: str, operator: Operator, argument):
+    return getattr(operator, method)(argument)
+
+
+def call(method: str, operator: Operator, argument) -> jax.Array:
+    """`apply`, `transpose` or `rows` as users call them: jitted where the operator is a plain pytree."""
+    direct = isinstance(operator, Streamed)
+    return getattr(operator, method)(argument) if direct else _jitted(method, operator, argument)
+
+
+def random(*shape: int, seed: int = 0, dtype: Any = np.float32):
+    return jnp.asarray(np.random.default_rng(seed).normal(size=shape), dtype)
+
+
+def relative(found, expected) -> float:
+    return float(np.linalg.norm(np.asarray(found, float) - expected) / np.linalg.norm(expected))
+
+
+def other_values(operator):
+    """The same operator with twice the numbers."""
+    return jax.tree.map(lambda x: 2 * x if eqx.is_inexact_array(x) else x, operator)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_is_its_matrix(name):
+    operator, matrix = case(name)
+    r, d, c = operator.shape
+    assert (r, c, d) == matrix.shape
+    assert operator.nbytes > 0
+    assert relative(call("rows", operator, np.arange(r)), matrix) < 1e-6
+    light, radiance = random(d, 3), random(r, 3, seed=1)
+    found = call("apply", operator, light)
+    assert found.shape == (r, 3)
+    assert found.dtype == np.float32
+    matrix = np.broadcast_to(matrix, (r, 3, d))
+    assert relative(found, np.einsum("rcd,dc->rc", matrix, np.asarray(light, float))) < 1e-6
+    back = call("transpose", operator, radiance)
+    assert back.shape == (d, 3)
+    assert relative(back, np.einsum("rcd,rc->dc", matrix, np.asarray(radiance, float))) < 2e-6
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_is_linear_and_has_its_adjoint(name):
+    operator, _ = case(name)
+    r, d, _ = operator.shape
+    x1, x2, y = random(d, 3), random(d, 3, seed=1), random(r, 3, seed=2)
+    one, two, both = (np.asarray(call("apply", operator, x), float) for x in (x1, x2, 2.0 * x1 - 0.5 * x2))
+    assert relative(both, 2.0 * one - 0.5 * two) < 1e-6
+    back = np.asarray(call("transpose", operator, y), float)
+    assert abs(float(np.vdot(one, y)) - float(np.vdot(x1, back))) < 1e-6 * np.linalg.norm(one) * np.linalg.norm(y)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_rows_are_rows_of_the_matrix(name):
+    operator, matrix = case(name)
+    chosen = np.array([len(matrix) - 1, 0, 2, 2, len(matrix) // 2])
+    assert relative(call("rows", operator, jnp.asarray(chosen)), matrix[chosen]) < 1e-6
+    np.testing.assert_array_equal(operator.to_matrix(), call("rows", operator, np.arange(len(matrix))))
+
+
+@pytest.mark.parametrize("name", ["stacked", "streamed", "streamed grey"])
+def test_float64(x64, name):
+    operator, matrix = CASES[name](np.float64)
+    r, d, _ = operator.shape
+    light, radiance = random(d, 3, dtype=np.float64), random(r, 3, seed=1, dtype=np.float64)
+    forward, back = call("apply", operator, light), call("transpose", operator, radiance)
+    rows = call("rows", operator, np.arange(r))
+    assert forward.dtype == back.dtype == rows.dtype == np.float64
+    assert relative(forward, np.einsum("rcd,dc->rc", np.broadcast_to(matrix, (r, 3, d)), light)) < 1e-14
+    assert abs(float(np.vdot(forward, radiance)) - float(np.vdot(light, back))) < 1e-13 * np.linalg.norm(
+        forward
+    ) * np.linalg.norm(radiance)
+    assert relative(rows, matrix) < 1e-14
+
+
+@pytest.mark.parametrize("name", ["sparse grey", "stacked", "streamed"])
+def test_as_lineax(name):
+    operator, _ = case(name)
+    r, d, c = operator.shape
+    light, radiance = random(d, c), random(r, c, seed=1)
+    adapted = as_lineax(operator)
+    assert (adapted.in_structure().shape, adapted.out_structure().shape) == ((d, c), (r, c))
+    np.testing.assert_allclose(adapted.mv(light), call("apply", operator, light), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(adapted.T.mv(radiance), call("transpose", operator, radiance), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", PYTREES)
+def test_jit_does_not_retrace_for_other_values(name):
+    operator, _ = case(name)
+    r, d, _ = operator.shape
+    traces = []
+
+    @jax.jit
+    def both(operator, light, radiance):
+        traces.append(name)
+        return operator.apply(light), operator.transpose(radiance)
+
+    light, radiance = random(d, 3), random(r, 3, seed=1)
+    first = both(operator, light, radiance)
+    second = both(other_values(operator), light + 0, radiance + 0)
+    assert traces == [name]
+    for one, two in zip(first, second, strict=True):
+        np.testing.assert_allclose(2 * one, two, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(first[0], call("apply", operator, light), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_vmap_over_light(name):
+    operator, _ = case(name)
+    lights = random(3, operator.shape[1], 3)
+    each = np.stack([call("apply", operator, light) for light in lights])
+    np.testing.assert_allclose(jax.jit(jax.vmap(operator.apply))(lights), each, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", PYTREES)
+def test_gradients_in_light_and_values(x64, name):
+    operator, _ = CASES[name](np.float64)
+    r, d, _ = operator.shape
+    values, rest = eqx.partition(operator, eqx.is_inexact_array)
+    light, radiance = random(d, 3, dtype=np.float64), random(r, 3, seed=1, dtype=np.float64)
+
+    @jax.jit
+    def forward(values, light):
+        return eqx.combine(values, rest).apply(light)
+
+    @jax.jit
+    def back(values, radiance):
+        return eqx.combine(values, rest).transpose(radiance)
+
+    check_grads(forward, (values, light), 1, ["fwd", "rev"])
+    check_grads(back, (values, radiance), 1, ["fwd", "rev"])
+    _, pull = jax.vjp(forward, values, light)
+    np.testing.assert_allclose(pull(radiance)[1], back(values, radiance), rtol=1e-12, atol=1e-12)
+
+
+def test_streamed_is_differentiable_in_light_and_maps(x64):
+    operator: Any = streamed(3, np.float64)[0]
+
+    def forward(maps, light):
+        reflection = Factored(maps, operator.reflection.view_maps)
+        return Streamed(operator.read_bits, operator.frames, reflection, operator.directions).apply(light)
+
+    maps = operator.reflection.light_maps
+    check_grads(jax.jit(forward), (maps, random(D, 3, dtype=np.float64)), 1, ["fwd", "rev"])
+
+
+def test_streamed_reads_only_the_groups_it_needs():
+    operator, matrix = case("streamed")
+    assert isinstance(operator, Streamed)
+    asked = []
+
+    def read(group):
+        asked.append(group)
+        return operator.read_bits(group)
+
+    watched = Streamed(read, operator.frames, operator.reflection, operator.directions)
+    assert relative(watched.rows(jnp.asarray([9, 15])), matrix[[9, 15]]) < 1e-6
+    assert set(asked) == {1}
+    asked.clear()
+    watched.apply(random(D, 3))
+    assert asked == [0, 1]
+
+
+def test_stacked_rows_start_where_the_last_operators_end():
+    operator, _ = stacked(np.float32)
+    assert isinstance(operator, Stacked)
+    assert operator.starts == [0, 7, 11, 16]
+    assert operator.nbytes == sum(part.nbytes for part in operator.operators)
+
+
+@pytest.mark.parametrize(("columns", "dtype"), [(96, np.uint16), (2**16, np.uint16), (2**16 + 1, np.uint32)])
+def test_indices_take_the_smallest_type_that_holds_them(columns, dtype):
+    assert smallest_index_type(columns) == dtype
+    operator = sparse_rows(jnp.asarray([[0, columns - 1]]), jnp.asarray([[[1.0, 2]]]), columns)
+    assert operator.indices.dtype == dtype
+    light = np.zeros((columns, 1), np.float32)
+    light[-1] = 3
+    np.testing.assert_allclose(operator.apply(jnp.asarray(light)), [[6]])
+    assert operator.shape == (1, columns, 1)
+    np.testing.assert_array_equal(jnp.nonzero(operator.transpose(jnp.ones((1, 1))))[0], [0, columns - 1])
