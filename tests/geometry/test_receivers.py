@@ -1,0 +1,109 @@
+"""Groups of receivers, and the way back from them."""
+
+import numpy as np
+import pytest
+
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.gbuffer import trace_gbuffer
+from jaxrelight.geometry.mesh import Mesh, transformed
+from jaxrelight.geometry.primitives import box, plane, sphere
+from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
+from jaxrelight.geometry.surfaces import join
+from jaxrelight.geometry.tracer import Tracer
+
+# Materials 2, 0, 2 of meshes with 81, 386 and 256 vertices.
+MESHES = [
+    plane((2, 2), 8),
+    transformed(sphere(0.5, 8), np.array([[1, 0, 0, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]])),
+    transformed(plane((2, 2), 15), np.array([[1, 0, 0, 0], [0, 1, 0, 1.5], [0, 0, 1, 0], [0, 0, 0, 1]])),
+]
+MATERIALS = np.array([2, 0, 2])
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    return join(MESHES)
+
+
+def check_grouping(receivers: Receivers, positions, normals, material):
+    """What holds for any receivers: the way back, one material a group, copies of the first as padding."""
+    groups = len(receivers.filled)
+    assert receivers.positions.shape == receivers.normals.shape == receivers.face_normals.shape == (groups, GROUP, 3)
+    assert receivers.count == len(positions) == receivers.filled.sum()
+    slot = receivers.slot_of
+    np.testing.assert_array_equal(receivers.positions.reshape(-1, 3)[slot], positions)
+    np.testing.assert_array_equal(receivers.normals.reshape(-1, 3)[slot], normals)
+    np.testing.assert_array_equal(receivers.material_of_group[slot // GROUP], material)
+    assert len(np.unique(slot)) == len(slot)
+    assert (slot % GROUP < receivers.filled[slot // GROUP]).all()
+    for number in np.unique(material):
+        mine = receivers.groups_of(number)
+        np.testing.assert_array_equal(mine, np.arange(mine[0], mine[0] + len(mine)))
+        assert len(mine) == -(-(material == number).sum() // GROUP)
+        assert (receivers.filled[mine[:-1]] == GROUP).all()
+        first = receivers.positions[mine[0], 0]
+        padding = receivers.positions[mine[-1], receivers.filled[mine[-1]] :]
+        np.testing.assert_array_equal(padding, np.broadcast_to(first, padding.shape))
+
+
+def test_vertices_are_grouped_by_material_and_found_again(surfaces):
+    receivers = vertex_receivers(surfaces, MATERIALS)
+    check_grouping(receivers, surfaces.vertices, surfaces.normals, MATERIALS[surfaces.mesh_of_vertex])
+    assert receivers.omega_o is None
+    np.testing.assert_array_equal(receivers.material_of_group, [0, 0, 0, 0, 2, 2, 2])
+    np.testing.assert_array_equal(receivers.filled, [128, 128, 128, 2, 128, 128, 81])
+    assert len(receivers.groups_of(1)) == 0
+
+
+def test_groups_are_close_together():
+    surfaces = join([plane((2, 2), 63)])
+    receivers = vertex_receivers(surfaces, np.array([0]))
+    extent = np.ptp(receivers.positions, axis=1).max(axis=-1)
+    assert np.median(extent) < 0.6
+    check_grouping(receivers, surfaces.vertices, surfaces.normals, np.zeros(64 * 64))
+
+
+@pytest.mark.parametrize("resolution", [1, 10])
+def test_a_group_is_never_empty_nor_over_full(resolution):
+    surfaces = join([plane((2, 2), resolution)])
+    receivers = vertex_receivers(surfaces, np.array([0]))
+    np.testing.assert_array_equal(receivers.filled, [(resolution + 1) ** 2])
+    check_grouping(receivers, surfaces.vertices, surfaces.normals, np.zeros((resolution + 1) ** 2))
+
+
+def test_pixels_are_grouped_by_what_they_show(surfaces):
+    gbuffer = trace_gbuffer(surfaces, Tracer(surfaces), Camera((0, 1, 4), (0, 0.4, 0), width=24, height=24))
+    receivers = pixel_receivers(gbuffer, MATERIALS)
+    check_grouping(receivers, gbuffer.positions, gbuffer.normals, MATERIALS[gbuffer.mesh])
+    assert receivers.omega_o is not None
+    np.testing.assert_array_equal(receivers.omega_o.reshape(-1, 3)[receivers.slot_of], gbuffer.omega_o)
+    np.testing.assert_array_equal(receivers.face_normals.reshape(-1, 3)[receivers.slot_of], gbuffer.face_normals)
+
+
+def test_no_pixels_make_no_groups(surfaces):
+    gbuffer = trace_gbuffer(surfaces, Tracer(surfaces), Camera((0, 5, 0), (0, 9, 0), (0, 0, 1), width=4, height=4))
+    receivers = pixel_receivers(gbuffer, MATERIALS)
+    assert receivers.count == len(receivers.filled) == 0
+    assert receivers.positions.shape == (0, GROUP, 3)
+
+
+def test_face_normals_of_vertices_are_those_of_the_faces_around():
+    """A box has corners of their own on every side; a sphere's are close to its smooth normals."""
+    for mesh, cosine in [(box(), 1 - 1e-12), (sphere(0.5, 8), 0.99)]:
+        surfaces = join([mesh])
+        receivers = vertex_receivers(surfaces, np.array([0]))
+        np.testing.assert_allclose(np.linalg.norm(receivers.face_normals, axis=-1), 1, atol=1e-12)
+        assert np.sum(receivers.face_normals * receivers.normals, axis=-1).min() > cosine
+
+
+def test_face_normals_are_weighted_by_area_and_fall_back_to_the_shading_normal():
+    vertices = np.array([[0.0, 0, 0], [2, 0, 0], [0, 0, -2], [0, 1, 0], [5, 5, 5]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])  # areas 2 and 1 towards +y and +x
+    normals = np.tile([0.0, 0, 1], (5, 1))
+    surfaces = join([Mesh(vertices, faces, normals)])
+    receivers = vertex_receivers(surfaces, np.array([0]))
+    found = receivers.face_normals.reshape(-1, 3)[receivers.slot_of]
+    np.testing.assert_allclose(found[0], np.array([1, 2, 0]) / 5**0.5, atol=1e-12)
+    np.testing.assert_allclose(found[1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(found[3], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(found[4], [0, 0, 1], atol=1e-12)
