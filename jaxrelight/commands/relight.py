@@ -3,14 +3,10 @@
 import dataclasses
 import pathlib
 import time
-from typing import TYPE_CHECKING
 
 import tyro
 
 from jaxrelight.commands.options import LightOptions, Output, PictureOptions, ViewOptions
-
-if TYPE_CHECKING:
-    from jaxrelight.lights.environment import Environment
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +40,7 @@ def relight(
     from jaxrelight.commands.progress import notes
     from jaxrelight.images import check_writable, write_image
     from jaxrelight.lighting.transport import Relighter
+    from jaxrelight.transport.load import stored_environment
 
     check_writable(output)
     seconds, start = {}, time.perf_counter()
@@ -54,7 +51,7 @@ def relight(
 
     relighter = Relighter.open(folder)
     lap("open")
-    environment = light.environment(stored_environment(folder))
+    environment = light.environment(stored_environment(relighter.transport))
     notes(environment.notes)
     lap("environment")
     camera = view.camera(relighter.transport.camera)
@@ -78,12 +75,3 @@ def relight(
         "kept_energy": relighter.transport.kept,
         "settings": dataclasses.asdict(relighter.transport.settings),
     }
-
-
-def stored_environment(folder: pathlib.Path) -> "Environment | None":
-    """The environment that a store was made with."""
-    from jaxrelight import store
-    from jaxrelight.lights.environment import load_environment
-
-    placed = store.read_header(folder)["environment"]
-    return load_environment(folder / "environment.exr", placed["rotate_y"], placed["scale"]) if placed else None

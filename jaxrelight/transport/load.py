@@ -21,6 +21,7 @@ from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lights.environment import Environment, load_environment
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
@@ -45,8 +46,9 @@ class Transport:
         kept: share of transport energy that the operator keeps.
         dropped: energy left out of every row by channel, per material; None where nothing is.
         camera: the scene's.
-        rotate_y: of the scene's environment.
-        scale: of the scene's environment.
+        lit: whether the scene has an environment.
+        rotate_y: of that environment.
+        scale: of that environment.
         folder: the store.
         visibility: the layer of visibility bits.
     """
@@ -63,6 +65,7 @@ class Transport:
     kept: float
     dropped: list[np.ndarray] | None
     camera: Camera
+    lit: bool
     rotate_y: float
     scale: float
     folder: pathlib.Path
@@ -123,12 +126,19 @@ def load(folder: pathlib.Path) -> Transport:
         kept=1 - left / total if total else 1.0,
         dropped=dropped or None,
         camera=camera,
+        lit=header["environment"] is not None,
         rotate_y=environment["rotate_y"],
         scale=environment["scale"],
         folder=folder,
         visibility=visibility,
         groups=all_groups,
     )
+
+
+def stored_environment(transport: Transport) -> Environment | None:
+    """The environment of the scene that the store was made from."""
+    path = transport.folder / "environment.exr"
+    return load_environment(path, transport.rotate_y, transport.scale) if transport.lit else None
 
 
 def exact(transport: Transport) -> Transport:
@@ -162,8 +172,8 @@ def _streamed(visibility, groups, frames, reflection, directions) -> Streamed:
     return Streamed(read_bits, frames, reflection, directions)
 
 
-def rebake(transport: Transport, reflections: list[Reflection]) -> Stacked:
-    """The operator with other reflections on the same visibility and the same kept coefficients; no ray is traced.
+def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
+    """The same scene with other reflections, on the same visibility and the same kept coefficients; no ray is traced.
 
     Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
     derivative is that of the truncated operator, not of the choice.
@@ -192,7 +202,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Stacked:
         ]
         joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
         operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns))
-    return Stacked(tuple(operators))
+    return dataclasses.replace(transport, reflections=reflections, operator=Stacked(tuple(operators)))
 
 
 def _read_geometry(layer: store.Layer) -> Surfaces:
