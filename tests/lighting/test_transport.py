@@ -1,0 +1,238 @@
+"""From light to picture: linearity, the white furnace, rotation and what lies behind the surfaces."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight.geometry import mesh as meshes
+
+SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
+
+
+def _up(mesh, height: float):
+    matrix = np.eye(4)
+    matrix[1, 3] = height
+    return meshes.transformed(mesh, matrix)
+
+
+def _scene() -> Scene:
+    """A glossy ball beside a block on a floor; nothing about it is symmetric."""
+    aside = np.eye(4)
+    aside[:3, 3] = 0.5, 0.3, 0.2
+    parts = [
+        Part(jr.plane((2, 2), 4), "paper"),
+        Part(_up(jr.sphere(0.35, 4), 0.4), "gloss"),
+        Part(meshes.transformed(jr.box((0.3, 0.6, 0.2), 2), aside), "paper"),
+    ]
+    materials = {"paper": jr.lambert([0.7, 0.6, 0.5]), "gloss": jr.phong([0.2, 0.3, 0.1], 0.4, 6.0)}
+    camera = jr.Camera((0.4, 1.2, 2.2), (0.1, 0.2, 0), fov_y=50, width=16, height=12)
+    return Scene(parts, materials, camera)
+
+
+@pytest.fixture(scope="module", params=["vertices", "pixels"])
+def relighter(request, tmp_path_factory) -> Relighter:
+    folder = tmp_path_factory.mktemp("store")
+    jr.precompute(
+        _scene(), Settings(request.param, resolution=8, terms=2, coefficients=48, factor_resolution=12), folder
+    )
+    return Relighter.open(folder)
+
+
+def _relative(found, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(found, wanted, dtype=float)) / np.linalg.norm(np.asarray(wanted, float)))
+
+
+def _surface(relighter: Relighter, environment, view=None) -> np.ndarray:
+    return relighter.image(environment, view or relighter.view(), background=False)[..., :3]
+
+
+# Linearity.
+
+
+def test_picture_is_linear_in_the_light(relighter: Relighter):
+    generator = np.random.default_rng(0)
+    one, other = SKY, generator.random(SKY.shape).astype(np.float32)
+    other[2, 3] = 300
+    view = relighter.view()
+    pictures = [_surface(relighter, jr.environment(pixels), view) for pixels in (one, other, 2.5 * one + 0.3 * other)]
+    assert _relative(pictures[2], 2.5 * pictures[0] + 0.3 * pictures[1]) < 1e-6
+
+
+def test_picture_is_linear_in_scale(relighter: Relighter):
+    view = relighter.view()
+    plain = _surface(relighter, jr.environment(SKY), view)
+    for scale in (0.0, 1e-3, 7.0, 1e5):
+        assert np.abs(_surface(relighter, jr.environment(SKY, scale=scale), view) - scale * plain).max() <= (
+            1e-6 * scale * np.abs(plain).max()
+        )
+
+
+def test_black_sky_gives_black(relighter: Relighter):
+    image = relighter.image(jr.environment(np.zeros((4, 8, 3))), relighter.view())
+    assert not image[..., :3].any()
+
+
+def test_channels_do_not_mix(relighter: Relighter):
+    view = relighter.view()
+    together = _surface(relighter, jr.environment(SKY), view)
+    for c in range(3):
+        alone = np.zeros_like(SKY)
+        alone[..., c] = SKY[..., c]
+        picture = _surface(relighter, jr.environment(alone), view)
+        np.testing.assert_allclose(picture[..., c], together[..., c], rtol=1e-6, atol=1e-7)
+        assert not np.delete(picture, c, axis=-1).any()
+
+
+def test_light_and_shade_make_the_picture(relighter: Relighter):
+    """What changes with the light is paid apart from what changes with the view."""
+    environment, view = jr.environment(SKY, rotate_y=40, scale=2), relighter.view()
+    terms = relighter.light(environment)
+    for part, reflection, groups in zip(
+        terms, relighter.transport.reflections, relighter.transport.groups, strict=True
+    ):
+        assert part.shape == (128 * len(groups), reflection.terms, 3)
+    vector = relighter.light_vector(jnp.asarray(SKY), 40.0, 2.0)
+    for found, wanted in zip(terms, relighter.terms(vector), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)
+    given = relighter.image(environment, view, terms)
+    np.testing.assert_array_equal(given, relighter.image(environment, view))
+    np.testing.assert_array_equal(given[view.covered][:, :3], np.asarray(relighter.shade(terms, view))[view.covered])
+
+
+# The white furnace.
+
+
+@pytest.mark.parametrize(
+    ("receivers", "mesh"),
+    [("vertices", jr.sphere(0.5, 6)), ("pixels", jr.box((0.7, 0.8, 0.9), 1))],
+    ids=["ball", "box"],
+)
+@pytest.mark.parametrize("radiance", [1.0, 1e5])
+def test_white_furnace(tmp_path, receivers: str, mesh, radiance: float):
+    """A white convex object under constant light cannot be told from its surroundings."""
+    camera = jr.Camera((0.9, 1.1, 1.6), (0, 0, 0), fov_y=40, width=24, height=24)
+    scene = Scene([Part(mesh, "white")], {"white": jr.lambert(1.0)}, camera)
+    jr.precompute(scene, Settings(receivers, resolution=32, coefficients="all"), tmp_path)
+    relighter = Relighter.open(tmp_path)
+    view = relighter.view()
+    image = relighter.image(jr.environment(np.full((8, 16, 3), radiance)), view)
+    assert 150 < view.covered.sum() < 450
+    np.testing.assert_allclose(image[..., :3], radiance, rtol=1e-3)
+
+
+def test_albedo_is_the_radiance_in_the_furnace(tmp_path):
+    """Albedo 0.3 by channel and albedo 1 in one scene, kept coefficients: constant light is their average."""
+    camera = jr.Camera((0, 0.3, 2), (0, 0, 0), fov_y=40, width=16, height=12)
+    scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert([0.3, 0.5, 1.0])}, camera)
+    jr.precompute(scene, Settings("pixels", resolution=16, coefficients=256), tmp_path)
+    relighter = Relighter.open(tmp_path)
+    image = relighter.image(jr.environment(np.ones((8, 16, 3))), relighter.view())
+    seen = image[image[..., 3] == 1][:, :3]
+    np.testing.assert_allclose(seen, np.broadcast_to([0.3, 0.5, 1.0], seen.shape), rtol=0.01)
+
+
+# Rotation.
+
+
+def test_turning_the_sky_shifts_its_columns(relighter: Relighter):
+    """Counter-clockwise seen from +y: what shone from +z (the middle) shines from +x (a quarter) after 90°."""
+    view = relighter.view()
+    turned = relighter.image(jr.environment(SKY, rotate_y=90), view)
+    np.testing.assert_allclose(turned, relighter.image(jr.environment(np.roll(SKY, -4, axis=1)), view), rtol=1e-6)
+    again = relighter.image(jr.environment(SKY, rotate_y=450), view)
+    np.testing.assert_allclose(again, turned, rtol=1e-6)
+    again = _surface(relighter, jr.environment(SKY, rotate_y=-270), view)
+    np.testing.assert_allclose(again, np.where(view.covered[..., None], turned[..., :3], 0), rtol=1e-6)
+    assert _relative(turned, relighter.image(jr.environment(SKY), view)) > 0.1
+
+
+def test_light_from_one_side_falls_on_that_side(tmp_path):
+    """A sun in +x lights the side of a box that faces +x; turned by 90° counter-clockwise, the one that faces −z."""
+    sun = np.full((16, 32, 3), 1e-3)
+    sun[7:9, 7:9] = 100
+    camera = jr.Camera((2, 1, -2), (0, 0, 0), fov_y=40, width=16, height=16)
+    scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert(0.5)}, camera)
+    jr.precompute(scene, Settings(resolution=16, coefficients=256), tmp_path)
+    relighter = Relighter.open(tmp_path)
+    normals = jr.box((1, 1, 1), 1).normals
+    slots = relighter.transport.receivers.slot_of
+    for degrees, direction in ((0, (1, 0, 0)), (90, (0, 0, -1)), (180, (-1, 0, 0)), (270, (0, 0, 1))):
+        (terms,) = relighter.light(jr.environment(sun, rotate_y=degrees))
+        radiance = np.asarray(terms)[slots, 0, 0]
+        facing = normals @ np.array(direction) > 0.5
+        assert radiance[facing].min() > 10 * radiance[~facing].max()
+
+
+def test_turning_the_sky_is_turning_the_scene_back(tmp_path):
+    """Sky by 90°, or meshes and camera by −90°. The cube map has that symmetry, and so has isotropic reflection."""
+    scene = _scene()
+    # About +y: x' = cos·x + sin·z, z' = −sin·x + cos·z, here for −90°.
+    back = np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+    def turned(point):
+        return tuple(back[:3, :3] @ np.array(point))
+
+    camera = dataclasses.replace(scene.camera, origin=turned(scene.camera.origin), target=turned(scene.camera.target))
+    parts = [dataclasses.replace(part, mesh=meshes.transformed(part.mesh, back)) for part in scene.parts]
+    settings = Settings("pixels", resolution=16, coefficients="all")
+    images = []
+    for name, placed, degrees in (
+        ("sky", scene, 90.0),
+        ("scene", dataclasses.replace(scene, camera=camera, parts=parts), 0.0),
+    ):
+        jr.precompute(placed, settings, tmp_path / name)
+        relighter = Relighter.open(tmp_path / name)
+        images.append(relighter.image(jr.environment(SKY, rotate_y=degrees), relighter.view()))
+    assert images[0][..., 3].mean() > 0.3
+    # Rays that graze an edge may fall on either side of it: a texel of 1,536 in a receiver is 0.1 % of its light.
+    assert _relative(images[0], images[1]) < 2e-3
+    np.testing.assert_array_equal(images[0][..., 3], images[1][..., 3])
+
+
+# What lies behind.
+
+
+def _cells(camera: jr.Camera, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the lat-long cell that each pixel's centre looks at, from the convention's own words."""
+    x, y, z = np.moveaxis(camera.directions(), -1, 0)
+    # The top row looks to +y; the image centre to +z, and a quarter from the left to +x.
+    return (np.arccos(y) / np.pi * height).astype(int), ((0.5 - np.arctan2(x, z) / (2 * np.pi)) * width).astype(int)
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 315])
+def test_background_shows_each_pixels_own_cell(relighter: Relighter, degrees: float):
+    numbered = np.arange(1, 129, dtype=np.float32).reshape(8, 16, 1) * np.array([1, 10, 100])
+    environment = jr.environment(numbered, rotate_y=degrees, scale=0.5)
+    view = relighter.view()
+    image = relighter.image(environment, view)
+    row, column = _cells(relighter.transport.camera, 8, 16)
+    expected = 0.5 * numbered[row, (column + round(degrees / 22.5)) % 16]
+    assert 30 < (~view.covered).sum() < view.covered.size
+    np.testing.assert_allclose(image[~view.covered][:, :3], expected[~view.covered], rtol=1e-6)
+    np.testing.assert_allclose(relighter.background(environment, view), expected, rtol=1e-6)
+
+
+def test_background_may_be_left_out(relighter: Relighter):
+    environment, view = jr.environment(SKY), relighter.view()
+    shown, bare = (relighter.image(environment, view, background=background) for background in (True, False))
+    assert shown.dtype == bare.dtype == np.float32
+    assert shown.shape == bare.shape == (12, 16, 4)
+    for image in (shown, bare):
+        np.testing.assert_array_equal(image[..., 3], view.covered)
+    assert not bare[~view.covered].any()
+    assert (shown[~view.covered][:, :3] > 0).all()
+    np.testing.assert_array_equal(shown[view.covered], bare[view.covered])
+    assert (bare[view.covered][:, :3] > 0).all()
+
+
+def test_sky_of_any_size_lights_the_same(relighter: Relighter):
+    """A map with every pixel doubled, or doubled until it is coarsened again, is the same light."""
+    view = relighter.view()
+    plain = _surface(relighter, jr.environment(SKY), view)
+    for times in (2, 32):
+        finer = np.repeat(np.repeat(SKY, times, axis=0), times, axis=1)
+        assert _relative(_surface(relighter, jr.environment(finer), view), plain) < 1e-5

@@ -1,0 +1,722 @@
+"""From scene to store and back: reuse, resuming, truncation, invariance and gradients of the whole path."""
+
+import contextlib
+import dataclasses
+import hashlib
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+import jaxrelight as jr
+from jaxrelight import InputError, Part, Relighter, Scene, Settings, store
+from jaxrelight.basis import latlong
+from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.reflection import FixedView
+from jaxrelight.demo_scene import demo_scene
+from jaxrelight.geometry import mesh as meshes
+from jaxrelight.lights.environment import encode
+from jaxrelight.transport import precompute as stages
+
+# One set of shapes for most of the file: compiling is what takes time here.
+SETTINGS = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+PIXELS = dataclasses.replace(SETTINGS, receivers="pixels")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return demo_scene(detail=0.1, size=24)
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory) -> pathlib.Path:
+    """The store of the scene, for vertices; not to be written to."""
+    folder = tmp_path_factory.mktemp("made") / "store"
+    jr.precompute(scene, SETTINGS, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made_pixels(scene, tmp_path_factory) -> pathlib.Path:
+    """The same for pixels."""
+    folder = tmp_path_factory.mktemp("made_pixels") / "store"
+    jr.precompute(scene, PIXELS, folder)
+    return folder
+
+
+@pytest.fixture
+def copy(made, tmp_path) -> pathlib.Path:
+    """A copy of that store."""
+    shutil.copytree(made, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def _files(folder: pathlib.Path) -> dict[str, str]:
+    """Every file's hash."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def _layers(folder: pathlib.Path) -> set[str]:
+    return {path.name for path in folder.iterdir() if path.is_dir()}
+
+
+def _image(folder: pathlib.Path, scene: Scene) -> np.ndarray:
+    relighter = Relighter.open(folder)
+    assert scene.environment is not None
+    return relighter.image(scene.environment, relighter.view())
+
+
+def _relative(found, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(found, wanted)) / np.linalg.norm(wanted))
+
+
+def _light(scene: Scene, transport) -> np.ndarray:
+    """The scene's light vector in a transport's basis."""
+    assert scene.environment is not None
+    return np.asarray(Relighter(transport).light_vector(jnp.asarray(scene.environment.pixels[::8, ::8])))
+
+
+# What is there is used again.
+
+
+def test_second_run_traces_nothing_and_changes_no_file(scene, copy):
+    before = _files(copy)
+    summary = jr.precompute(scene, SETTINGS, copy)
+    assert summary.rays == 0
+    assert _files(copy) == before
+
+
+def test_summary_tells_what_was_done(scene, tmp_path):
+    reports = []
+    summary = jr.precompute(scene, SETTINGS, tmp_path / "store", lambda *report: reports.append(report))
+    vertices = sum(len(part.mesh.vertices) for part in scene.parts)
+    assert summary.receivers == vertices
+    # Half of the directions are above a receiver, the copies that fill up groups included.
+    groups = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).groups
+    assert summary.rays == pytest.approx(groups * 128 * 6 * 8**2 / 2, rel=0.1)
+    assert set(summary.seconds) == {"geometry", "visibility", "transport"}
+    on_disk = dict.fromkeys(("geometry", "visibility", "factors", "transport"), 0)
+    for path in summary.folder.glob("*-*/**/*"):
+        if path.is_file():
+            on_disk[path.relative_to(summary.folder).parts[0].partition("-")[0]] += path.stat().st_size
+    assert summary.nbytes == on_disk
+    stages_told = {stage for stage, _, _ in reports}
+    assert stages_told == {"visibility", *(f"transport of {name}" for name in scene.materials)}
+    for stage in stages_told:
+        done = [(done, total) for name, done, total in reports if name == stage]
+        assert [d for d, _ in done] == sorted(d for d, _ in done)
+        assert done[0][0] == 0
+        assert done[-1][0] == done[-1][1]
+
+
+def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
+    before, old = _files(copy), _layers(copy)
+    darker = jr.phong([0.1, 0.1, 0.1], [0.4, 0.4, 0.4], 7.0)
+    changed = dataclasses.replace(scene, materials={**scene.materials, "lacquer": darker})
+    summary = jr.precompute(changed, SETTINGS, copy)
+    assert summary.rays == 0
+    after = _files(copy)
+    assert all(after[name] == before[name] for name in before if name != "store.json")
+    new = _layers(copy) - old
+    assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
+    # What was made is what a fresh store gets.
+    fresh = tmp_path / "fresh"
+    jr.precompute(changed, SETTINGS, fresh)
+    assert _files(fresh).items() <= after.items()
+    # And back: everything is there.
+    jr.precompute(scene, SETTINGS, copy)
+    assert _files(copy) == {**after, "store.json": before["store.json"]}
+
+
+def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tmp_path):
+    shutil.copytree(made_pixels, tmp_path / "a")
+    old = _layers(tmp_path / "a")
+    white = dataclasses.replace(scene, materials={**scene.materials, "stone": jr.lambert(0.9)})
+    summary = jr.precompute(white, PIXELS, tmp_path / "a")
+    assert summary.rays == 0
+    new = _layers(tmp_path / "a") - old
+    assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
+
+
+def test_renamed_material_keeps_its_layers(scene, copy):
+    """Keys follow what a material is, not what it is called."""
+    old = _layers(copy)
+    renamed = dataclasses.replace(
+        scene,
+        parts=[dataclasses.replace(part, material=f"{part.material}_") for part in scene.parts],
+        materials={f"{name}_": brdf for name, brdf in scene.materials.items()},
+    )
+    assert jr.precompute(renamed, SETTINGS, copy).rays == 0
+    assert _layers(copy) == old
+
+
+@pytest.mark.parametrize(
+    ("change", "traced", "new"),
+    [
+        ({"coefficients": 16}, False, {"transport"}),
+        ({"terms": 3}, False, {"transport", "factors"}),
+        ({"factor_resolution": 10}, False, {"transport", "factors"}),
+        ({"coefficients": "all"}, False, set()),
+        ({"resolution": 4}, True, {"visibility", "transport"}),
+        ({"visibility_samples": 4}, True, {"visibility", "transport"}),
+        ({"receivers": "pixels"}, True, {"visibility", "transport"}),
+    ],
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
+)
+def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, traced: bool, new: set):
+    """A key that left out a setting would give the layer of another."""
+    # Which layers are asked for shows without baking them.
+    monkeypatch.setattr(stages, "_bake_groups", lambda *_: None)
+    parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
+    materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
+    scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
+    settings = Settings(resolution=8, terms=2, coefficients=8, factor_resolution=8)
+    jr.precompute(scene, settings, tmp_path)
+    old = _layers(tmp_path)
+    before = _files(tmp_path)
+    summary = jr.precompute(scene, dataclasses.replace(settings, **change), tmp_path)
+    assert (summary.rays > 0) == traced
+    assert {name.partition("-")[0] for name in _layers(tmp_path) - old} == new
+    after = _files(tmp_path)
+    assert all(after[name] == before[name] for name in before if name != "store.json")
+    assert Settings(**store.read_header(tmp_path)["settings"]) == dataclasses.replace(settings, **change)
+
+
+def test_other_camera_traces_anew_for_pixels_only(scene, copy, made_pixels, tmp_path):
+    other = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, origin=(0.0, 1.1, 2.7)))
+    assert jr.precompute(other, SETTINGS, copy).rays == 0
+    shutil.copytree(made_pixels, tmp_path / "pixels")
+    assert jr.precompute(other, PIXELS, tmp_path / "pixels").rays > 0
+
+
+def test_other_geometry_traces_anew(scene, copy):
+    def shifted(mesh):
+        return dataclasses.replace(mesh, vertices=mesh.vertices + np.array([0, 1e-6, 0]))
+
+    parts = [dataclasses.replace(scene.parts[0], mesh=shifted(scene.parts[0].mesh)), *scene.parts[1:]]
+    assert jr.precompute(dataclasses.replace(scene, parts=parts), SETTINGS, copy).rays > 0
+
+
+def test_environment_is_not_part_of_the_keys(scene, copy):
+    old = _layers(copy)
+    sky = jr.environment(np.full((8, 16, 3), 0.25), rotate_y=20, scale=3)
+    jr.precompute(dataclasses.replace(scene, environment=sky), SETTINGS, copy)
+    assert _layers(copy) == old
+    np.testing.assert_array_equal(jr.read_image(copy / "environment.exr"), sky.pixels)
+    transport = jr.load(copy)
+    assert (transport.rotate_y, transport.scale) == (20, 3)
+
+
+def test_equal_runs_make_equal_files(scene, made, tmp_path):
+    jr.precompute(scene, SETTINGS, tmp_path / "again")
+    assert _files(tmp_path / "again") == _files(made)
+
+
+# What cannot be done is told.
+
+
+def test_camera_that_sees_nothing_has_no_pixels_to_precompute(scene, tmp_path):
+    away = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, target=(0.7, 9.0, 9.0)))
+    with pytest.raises(InputError, match="demo: the camera sees no surface"):
+        jr.precompute(away, PIXELS, tmp_path)
+
+
+def test_store_that_is_a_file_is_refused(scene, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="cannot be used as a store"):
+        jr.precompute(scene, SETTINGS, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_incomplete_store_is_refused(copy):
+    layer = max(copy.glob("transport-*"), key=lambda path: store.open_layer(path).groups)
+    (layer / "done").write_text("0\n")
+    with pytest.raises(InputError, match=r"[0-9]+ groups are missing; run precompute"):
+        jr.load(copy)
+    (copy / "store.json").unlink()
+    with pytest.raises(InputError, match="not a store, or its precomputation was not finished"):
+        jr.load(copy)
+
+
+@pytest.mark.parametrize("kind", ["geometry", "visibility", "factors", "transport"])
+def test_missing_layer_is_refused_and_made_again(scene, made, copy, kind: str):
+    for folder in copy.glob(f"{kind}-*"):
+        shutil.rmtree(folder)
+    with pytest.raises(InputError, match=f"{kind}-[0-9a-f]+: this layer is missing or damaged"):
+        jr.load(copy)
+    summary = jr.precompute(scene, SETTINGS, copy)
+    assert (summary.rays > 0) == (kind == "visibility")
+    assert _files(copy) == _files(made)
+
+
+def test_flipped_bit_is_found(copy):
+    """In a chunk of every array of every layer, by whatever reads it first."""
+    arrays = sorted({path.parent for path in copy.glob("*/*/zarr.json")})
+    assert {path.parent.name.partition("-")[0] for path in arrays} == {"geometry", "visibility", "factors", "transport"}
+    generator = np.random.default_rng(3)
+
+    def read(array):
+        transport = jr.load(copy)
+        jr.exact(transport).operator.apply(jnp.ones((transport.operator.shape[1], 3)))
+        store.open_layer(array.parent).read(array.name)
+
+    for array in arrays:
+        # Zarr keeps no file for a chunk of zeros, such as the first mesh's number.
+        chunks = sorted(path for path in array.glob("c/**/*") if path.is_file())
+        for chunk in chunks[:1]:
+            good = chunk.read_bytes()
+            bit = int(generator.integers(8 * len(good)))
+            bad = bytearray(good)
+            bad[bit // 8] ^= 1 << bit % 8
+            chunk.write_bytes(bad)
+            with pytest.raises(InputError, match=f"'{array.name}' is damaged") as caught:
+                read(array)
+            assert len(str(caught.value).splitlines()) == 1
+            chunk.write_bytes(good)
+    jr.load(copy)
+
+
+# What was stopped goes on.
+
+
+def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
+    traced = []
+
+    def fail(*arguments):
+        if len(traced) == 4:
+            raise InputError("disk full")
+        traced.append(trace(*arguments)[1])
+        return trace(*arguments)
+
+    trace = stages.trace_visibility
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, "trace_visibility", fail)
+        patch.setattr(stages.os, "cpu_count", lambda: 1)
+        with pytest.raises(InputError, match="disk full"):
+            jr.precompute(scene, SETTINGS, tmp_path / "store")
+    with pytest.raises(InputError, match="not finished; run precompute"):
+        jr.load(tmp_path / "store")
+    done = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).done
+    assert len(done) == 4
+    whole = jr.precompute(scene, SETTINGS, tmp_path / "whole").rays
+    assert jr.precompute(scene, SETTINGS, tmp_path / "store").rays == whole - sum(traced)
+    assert _files(tmp_path / "store") == _files(made)
+
+
+CHILD = """
+import pathlib, sys
+import jaxrelight as jr
+from jaxrelight.demo_scene import demo_scene
+settings = jr.Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+def report(*progress):
+    print(*progress, flush=True)
+jr.precompute(demo_scene(detail=0.1, size=24), settings, pathlib.Path(sys.argv[1]), report)
+print("end", flush=True)
+"""
+
+
+def test_killed_at_random_moments_and_resumed(scene, made, tmp_path):
+    """The same store is killed again and again, in both of its stages; what ends up on disk is what one run makes."""
+    generator = np.random.default_rng(5)
+    folder = tmp_path / "store"
+    for stage, groups in (("visibility", 10), ("transport of floor", 2), ("transport of stone", 6)):
+        child = subprocess.Popen(
+            [sys.executable, "-c", CHILD, str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=pathlib.Path(jr.__file__).parents[1],
+        )
+        assert child.stdout is not None
+        with child.stdout:
+            # Some groups of a stage, then a moment more.
+            wanted = int(generator.integers(groups - 1)) + 1
+            while (line := child.stdout.readline()).startswith(("visibility", "transport")):
+                wanted -= line.startswith(stage)
+                if wanted < 0:
+                    break
+            time.sleep(generator.uniform(0, 0.005))
+            child.send_signal(signal.SIGKILL)
+            child.stdout.read()
+        assert child.wait() == -signal.SIGKILL
+        assert line.startswith(stage)
+        if stage == "visibility":
+            assert store.open_layer(next(folder.glob("visibility-*"))).missing
+    assert not (folder / "store.json").exists()
+    summary = jr.precompute(scene, SETTINGS, folder)
+    assert summary.rays == 0
+    assert _files(folder) == _files(made)
+
+
+# What is left out is bounded, and what is kept is right.
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_all_coefficients_kept_is_all_of_them(tmp_path, receivers: str):
+    scene = _small_scene()
+    settings = Settings(receivers, resolution=4, terms=2, coefficients=6 * 4**2, factor_resolution=8)
+    jr.precompute(scene, settings, tmp_path)
+    kept = jr.load(tmp_path)
+    jr.precompute(scene, dataclasses.replace(settings, coefficients="all"), tmp_path)
+    streamed = jr.load(tmp_path)
+    assert kept.kept == pytest.approx(1, abs=1e-12)
+    assert streamed.dropped is None
+    pixels = jnp.asarray(np.random.default_rng(0).gamma(0.3, size=(8, 16, 3)), jnp.float32)
+    terms = [Relighter(t).terms(Relighter(t).light_vector(pixels)) for t in (kept, streamed, jr.exact(kept))]
+    for part, wanted, exact in zip(*terms, strict=True):
+        assert _relative(part, wanted) < 1e-5
+        np.testing.assert_array_equal(wanted, exact)
+
+
+def test_error_never_exceeds_what_was_dropped(small, sky):
+    """|Tx − T'x| ≤ ‖x‖·√dropped for every row, and equal for the light that is the dropped row itself."""
+    transport = small.transport
+    exact = jr.exact(transport)
+    basis = HaarFaces(transport.settings.resolution)
+    generator = np.random.default_rng(2)
+    count, d, _ = transport.operator.shape
+    assert transport.dropped is not None
+    bound = np.sqrt(np.concatenate([np.broadcast_to(part, (len(part), 3)) for part in transport.dropped]))
+    assert bound.shape == (count, 3)
+
+    def error(light):
+        kept = Relighter(transport).terms(jnp.asarray(light, jnp.float32))
+        whole = Relighter(exact).terms(basis.decode(jnp.asarray(light.T, jnp.float32)).T)
+        return np.abs(np.concatenate([(a - b).reshape(-1, 3) for a, b in zip(kept, whole, strict=True)]))
+
+    spike = np.zeros((d, 3))
+    spike[generator.integers(d)] = 1e5
+    sun = np.asarray(basis.encode(jnp.asarray(spike.T))).T
+    lights = [
+        np.asarray(small.light_vector(jnp.asarray(sky, jnp.float32))),
+        generator.normal(size=(d, 3)) ** 3,
+        spike,
+        sun,
+    ]
+    for light in lights:
+        assert (error(light) <= np.linalg.norm(light, axis=0) * (bound + 1e-6)).all()
+
+    rows = jnp.asarray(generator.integers(count, size=2))
+    left = basis.encode(exact.operator.rows(rows)) - transport.operator.rows(rows)
+    for row, light in zip(np.asarray(rows), np.asarray(left), strict=True):
+        worst = error(light.T)
+        assert (worst <= np.linalg.norm(light, axis=-1) * (bound + 1e-6)).all()
+        np.testing.assert_allclose(worst[row], np.linalg.norm(light, axis=-1) * bound[row], rtol=1e-3, atol=1e-6)
+
+
+def test_kept_energy_is_that_of_the_rows(small, tmp_path):
+    transport = small.transport
+    jr.precompute(_small_scene(), dataclasses.replace(transport.settings, coefficients=6 * 4**2), tmp_path)
+
+    def energy(operators):
+        return sum(float(np.square(part.values, dtype=float).sum()) * 3 / part.shape[2] for part in operators)
+
+    whole = energy(jr.load(tmp_path).operator.operators)
+    assert transport.kept == pytest.approx(energy(transport.operator.operators) / whole, abs=1e-6)
+    assert 0.9 < transport.kept < 0.9999
+    for part, left in zip(jr.load(tmp_path).operator.operators, transport.dropped, strict=True):
+        assert left.shape == part.shape[::2]
+
+
+@pytest.mark.parametrize("coefficients", [32, "all"])
+def test_rebake_gives_what_is_stored(scene, tmp_path, made, coefficients):
+    if coefficients == "all":
+        jr.precompute(scene, dataclasses.replace(SETTINGS, coefficients="all"), tmp_path)
+    transport = jr.load(made if coefficients != "all" else tmp_path)
+    again = jr.rebake(transport, transport.reflections).operator
+    light = jnp.asarray(_light(scene, transport))
+    if coefficients == "all":
+        np.testing.assert_array_equal(again.apply(light), transport.operator.apply(light))
+        return
+    for new, old in zip(again.operators, transport.operator.operators, strict=True):
+        np.testing.assert_array_equal(new.indices, old.indices)
+        for found, wanted in zip(new.values, old.values, strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7 * float(jnp.abs(wanted).max()))
+
+
+def test_rebake_with_another_material_keeps_the_sets(made):
+    transport = jr.load(made)
+    number = transport.names.index("lacquer")
+    maps = transport.reflections[number]
+    assert isinstance(maps, Factored)
+    reflections = list(transport.reflections)
+    reflections[number] = Factored(2 * maps.light_maps, maps.view_maps)
+    again = jr.rebake(transport, reflections).operator
+    for i, (new, old) in enumerate(zip(again.operators, transport.operator.operators, strict=True)):
+        np.testing.assert_array_equal(new.indices, old.indices)
+        factor = 2 if i == number else 1
+        np.testing.assert_allclose(new.values[0], factor * old.values[0], rtol=1e-5, atol=1e-6)
+
+
+# The picture does not depend on how it is asked for.
+
+
+def test_vertices_and_pixels_agree_on_a_fine_mesh(tmp_path):
+    """A diffuse plane with a soft shadow: what is interpolated between vertices is what pixels see."""
+    parts = [Part(jr.plane((2, 2), 48), "paper")]
+    up = np.eye(4)
+    up[1, 3] = 0.6
+    parts.append(Part(meshes.transformed(jr.sphere(0.3, 6), up), "ball"))
+    camera = jr.Camera((0, 2.5, 2), (0, 0, 0), fov_y=30, width=24, height=24)
+    scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "ball": jr.lambert(0.5)}, camera)
+    generator = np.random.default_rng(4)
+    sky = jr.environment(0.5 + generator.random((4, 8, 3)))
+    images = {}
+    for receivers in ("vertices", "pixels"):
+        settings = Settings(receivers, resolution=16, coefficients="all", visibility_samples=4)
+        jr.precompute(scene, settings, tmp_path / receivers)
+        relighter = Relighter.open(tmp_path / receivers)
+        images[receivers] = relighter.image(sky, relighter.view(), background=False)
+    paper = images["vertices"][..., 3] == 1
+    # The ball is 6 quads wide and stands in the middle of the image.
+    paper &= np.abs(images["vertices"][..., 0] / np.maximum(images["vertices"][..., 1], 1e-9) - 7 / 6) < 0.5
+    assert paper.sum() > 300
+    error = jr.image_error(images["vertices"], images["pixels"])
+    # Measured 0.8 %: shadow edges on a cube map of 16.
+    assert error.trimmed < 0.012
+    assert error.mean_ratio == pytest.approx(1, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift"),
+    [(1.0, (-1e6, 3e5, 1e6)), (1e-3, (0, 0, 0)), (1e6, (0, 0, 0))],
+    ids=["far away", "millimetres", "megametres"],
+)
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_place_and_size_of_the_world_do_not_matter(request, scene, tmp_path, scale: float, shift, receivers: str):
+    plain = request.getfixturevalue("made" if receivers == "vertices" else "made_pixels")
+    matrix = np.diag([scale, scale, scale, 1.0])
+    matrix[:3, 3] = shift
+
+    def moved(point):
+        return tuple(np.multiply(point, scale) + shift)
+
+    camera = dataclasses.replace(scene.camera, origin=moved(scene.camera.origin), target=moved(scene.camera.target))
+    parts = [dataclasses.replace(part, mesh=meshes.transformed(part.mesh, matrix)) for part in scene.parts]
+    other = dataclasses.replace(scene, camera=camera, parts=parts)
+    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    # Factors are copied: they know nothing of the world.
+    for factors in plain.glob("factors-*"):
+        shutil.copytree(factors, tmp_path / factors.name)
+    assert jr.precompute(other, settings, tmp_path).rays > 0
+    assert _relative(_image(tmp_path, other), _image(plain, scene)) < 1e-4
+
+
+# Gradients of the whole path.
+
+
+def _small_scene() -> Scene:
+    up = np.eye(4)
+    up[1, 3] = 0.4
+    parts = [Part(jr.plane((2, 2), 3), "paper"), Part(meshes.transformed(jr.sphere(0.35, 3), up), "gloss")]
+    materials = {
+        "paper": jr.lambert([0.7, 0.6, 0.5]),
+        "gloss": jr.lobe_sum(
+            [0.2, 0.3, 0.1],
+            [jr.lobe([-1, -1, 0.9], 4.0, specular=[0.5, 0.4, 0.3]), jr.lobe([0.8, 0.7, 0.9], 3.0, specular=0.2)],
+        ),
+    }
+    camera = jr.Camera((0.3, 1.2, 2.2), (0, 0.3, 0), fov_y=50, width=8, height=6)
+    sky = jr.environment(np.random.default_rng(1).gamma(0.5, size=(4, 8, 3)))
+    return Scene(parts, materials, camera, sky)
+
+
+@pytest.fixture(scope="module", params=["vertices", "pixels"])
+def small(request, tmp_path_factory) -> Relighter:
+    settings = Settings(request.param, resolution=4, terms=2, coefficients=24, factor_resolution=8)
+    folder = tmp_path_factory.mktemp("small")
+    jr.precompute(_small_scene(), settings, folder)
+    # Tables of the resampling are made once, here in float32.
+    latlong.area_resampling(4, 8, 4)
+    return Relighter.open(folder)
+
+
+@pytest.fixture(scope="module")
+def sky() -> np.ndarray:
+    environment = _small_scene().environment
+    assert environment is not None
+    return environment.pixels.astype(np.float64)
+
+
+def _double(tree):
+    """Floating point arrays in float64."""
+
+    def widened(x):
+        return x.astype(jnp.float64) if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating) else x
+
+    return jax.tree.map(widened, tree)
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradient_of_the_picture_in_the_light(small: Relighter, sky):
+    """Environment pixels → light vector → terms → picture, with rotation and scale."""
+    view = small.view()
+    resampling = latlong.area_resampling(4, 8, 4)
+
+    @jax.jit
+    def picture(pixels, rotate_y, scale):
+        light = encode(pixels, rotate_y, scale, resampling, small.transport.basis)
+        return small.shade(small.terms(light), view)
+
+    arguments = jnp.asarray(sky), jnp.asarray(10.0), jnp.asarray(1.5)
+    assert picture(*arguments).dtype == jnp.float64
+    check_grads(picture, arguments, order=1, modes=("fwd", "rev"), atol=1e-5, rtol=1e-5)
+    # The picture is linear in pixels and scale, so it is its own derivative.
+    _, tangent = jax.jvp(lambda scale: picture(arguments[0], arguments[1], scale), (arguments[2],), (jnp.asarray(1.5),))
+    np.testing.assert_allclose(tangent, picture(*arguments), rtol=1e-6, atol=1e-9)
+
+
+def test_gradient_of_the_light_vector_in_float32(small: Relighter, sky):
+    """As it is used: linear in pixels and scale, and in the rotation within a pixel's 45°."""
+    pixels, weights = jnp.asarray(sky, jnp.float32), jnp.asarray(np.random.default_rng(0).normal(size=(96, 3)))
+
+    def loss(rotate_y, scale):
+        return jnp.sum(weights * small.light_vector(pixels, rotate_y, scale))
+
+    for argument, low, high in ((0, (10.0, 1.5), (30.0, 1.5)), (1, (10.0, 1.5), (10.0, 3.5))):
+        slope = (loss(*high) - loss(*low)) / (high[argument] - low[argument])
+        point = tuple(jnp.asarray((a + b) / 2, jnp.float32) for a, b in zip(low, high, strict=True))
+        for derivative in (jax.jacfwd, jax.jacrev):
+            assert float(derivative(loss, argnums=argument)(*point)) == pytest.approx(float(slope), rel=1e-3)
+    check_grads(lambda p: small.light_vector(p, 10.0, 1.5), (pixels,), order=1, modes=("fwd", "rev"), eps=1.0)
+
+
+def _picture(relighter: Relighter, reflections, light, view):
+    """The picture with other reflections on the same visibility."""
+    transport = dataclasses.replace(
+        relighter.transport, reflections=reflections, operator=jr.rebake(relighter.transport, reflections).operator
+    )
+    changed = Relighter(transport)
+    return changed.shade(changed.terms(light), view)
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradient_of_the_picture_in_the_material(small: Relighter, sky):
+    """Lobe parameters where the view is fixed, factor maps where it is free, by baking again."""
+    view = small.view()
+    light = small.light_vector(jnp.asarray(sky))
+    reflections = list(small.transport.reflections)
+    number = small.transport.names.index("gloss")
+    old = reflections[number]
+    if isinstance(old, FixedView):
+        assert isinstance(old.brdf, LobeSum)
+        parameters, omega_o = _double(old.brdf), old.omega_o
+
+        def changed(brdf):
+            return FixedView(brdf, omega_o)
+
+    else:
+        assert isinstance(old, Factored)
+        parameters = _double(old)
+
+        def changed(maps):
+            return maps
+
+    @jax.jit
+    def picture(parameters):
+        reflections[number] = changed(parameters)
+        return _picture(small, reflections, light, view)
+
+    assert picture(parameters).dtype == jnp.float64
+    check_grads(picture, (parameters,), order=1, modes=("fwd", "rev"), atol=1e-5, rtol=1e-5)
+    _, tangent = jax.jvp(picture, (parameters,), (parameters,))
+    assert float(jnp.abs(tangent).max()) > 0.01
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradient_in_the_albedo_is_the_picture_itself(small: Relighter, sky):
+    """Radiance of a diffuse surface is proportional to its albedo: the derivative is known."""
+    view, light = small.view(), small.light_vector(jnp.asarray(sky))
+    number = small.transport.names.index("paper")
+    paper = small.transport.reflections[number]
+    assert isinstance(paper, Factored)
+
+    def picture(albedo):
+        reflections = list(small.transport.reflections)
+        reflections[number] = Factored(paper.light_maps, albedo * paper.view_maps)
+        return _picture(small, reflections, light, view)
+
+    value, tangent = jax.jvp(picture, (jnp.asarray(1.0),), (jnp.asarray(1.0),))
+    on_paper = np.zeros(view.shape, bool)
+    on_paper.ravel()[np.asarray(view.materials[number].pixel)[np.asarray(view.materials[number].weights)[:, 0] > 0]] = 1
+    assert on_paper.sum() > 5
+    np.testing.assert_allclose(np.asarray(tangent)[on_paper], np.asarray(value)[on_paper], rtol=1e-6, atol=1e-9)
+    assert not np.asarray(tangent)[~on_paper].any()
+
+
+def test_gradients_are_finite_at_the_extremes(small: Relighter):
+    """A black map, and one bright texel."""
+    view = small.view()
+    spike = np.zeros((4, 8, 3), np.float32)
+    spike[1, 3] = 1e5
+
+    def loss(pixels, rotate_y):
+        return jnp.sum(small.shade(small.terms(small.light_vector(pixels, rotate_y)), view) ** 2)
+
+    for pixels in (np.zeros((4, 8, 3), np.float32), spike):
+        value, gradients = jax.value_and_grad(loss, argnums=(0, 1))(jnp.asarray(pixels), jnp.float32(0))
+        assert np.isfinite(value)
+        assert all(np.isfinite(gradient).all() for gradient in gradients)
+
+
+# What is compiled once stays compiled.
+
+
+@contextlib.contextmanager
+def _compiled():
+    """Counts what JAX traces and compiles meanwhile, in a list that grows."""
+    found = []
+
+    def listen(event: str, *_, **__):
+        if event.startswith("/jax/core/compile/"):
+            found.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_nothing_is_traced_again_for_other_light_or_view(scene, made):
+    relighter = Relighter.open(made)
+    sky = scene.environment
+
+    def picture(environment, camera):
+        return relighter.image(environment, relighter.view(camera))
+
+    first = picture(sky, scene.camera)
+    noise = jr.environment(np.random.default_rng(0).random(sky.pixels.shape))
+    turned = dataclasses.replace(sky, rotate_y=37.5, scale=0.5)
+    aside = dataclasses.replace(scene.camera, origin=(-0.9, 1.2, 2.5), fov_y=50.0)
+    with _compiled() as found:
+        pictures = [picture(noise, scene.camera), picture(turned, scene.camera), picture(sky, aside)]
+        assert found == []
+        assert all(_relative(other, first) > 0.01 for other in pictures)
+        assert relighter.view(aside).covered.sum() != relighter.view().covered.sum()
+        picture(sky, dataclasses.replace(scene.camera, width=30))
+        assert found, "the count does not show a new shape"
+
+
+def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
+    """Materials are arguments of the programs that bake them: a changed one compiles nothing."""
+    changed = {**scene.materials, "stone": jr.lambert(0.9), "floor": jr.lambert([0.1, 0.2, 0.3])}
+    shutil.copytree(made, tmp_path / "store")
+    jr.precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), SETTINGS, tmp_path / "a")
+    with _compiled() as found:
+        summary = jr.precompute(dataclasses.replace(scene, materials=changed), SETTINGS, tmp_path / "store")
+    assert summary.rays == 0
+    assert found == []
