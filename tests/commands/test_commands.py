@@ -1,0 +1,450 @@
+"""The command line: what it writes, what it says, and how it ends."""
+
+import json
+import pathlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from jaxrelight import cli, read_image, store, write_image
+from jaxrelight.transport import precompute as stages
+
+SCENE = """
+[camera]
+origin = [0, 1, 3]
+target = [0, 0.1, 0]
+width = 12
+height = 10
+[environment]
+file = "sky.exr"
+[material.paper]
+type = "lambert"
+albedo = [0.5, 0.4, 0.3]
+[material.gloss]
+type = "phong"
+diffuse = 0.1
+specular = 0.3
+exponent = 5
+[[mesh]]
+primitive = "plane"
+size = [2, 2]
+resolution = 3
+material = "paper"
+[[mesh]]
+primitive = "sphere"
+radius = 0.4
+resolution = 3
+material = "gloss"
+"""
+DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
+COMMANDS = "demo", "render", "precompute", "relight", "info"
+
+
+@pytest.fixture(autouse=True)
+def _cache(monkeypatch, tmp_path):
+    """No test writes to the user's own cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> pathlib.Path:
+    """Where commands run: a scene and two skies."""
+    pixels = np.random.default_rng(0).gamma(0.5, size=(8, 16, 3))
+    write_image(tmp_path / "sky.exr", pixels)
+    write_image(tmp_path / "other.hdr", pixels[::-1] + 1)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Runs a command in this process: (exit status, standard output, standard error)."""
+
+    def call(*arguments) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["jaxrelight", *map(str, arguments)])
+        status = 0
+        try:
+            cli.main()
+        except SystemExit as stop:
+            status = stop.code
+        captured = capsys.readouterr()
+        assert isinstance(status, int)
+        return status, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def made(folder, run) -> pathlib.Path:
+    """A store of the scene, for vertices."""
+    assert run("precompute", "scene.toml", "-o", "made", *DIALS, "--json")[0] == 0
+    return folder / "made"
+
+
+def _summary(result: tuple[int, str, str]) -> dict:
+    """The one JSON object that a successful command printed."""
+    status, out, err = result
+    assert status == 0, err
+    assert len(out.splitlines()) == 1
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(out, parse_constant=refuse)
+
+
+def _refusal(result: tuple[int, str, str]) -> str:
+    """The one line of a command that refused its input."""
+    status, out, err = result
+    assert status == 1
+    assert out == ""
+    assert err.startswith("jaxrelight: ")
+    assert len(err.splitlines()) == 1
+    return err
+
+
+# How it ends, seen from outside.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "said"),
+    [
+        (["info", "none.toml"], 1, "jaxrelight: none.toml: cannot be read as a scene: No such file or directory\n"),
+        (["info", "scene.toml", "--bogus"], 2, "--bogus"),
+        (["info", "scene.toml", "--json"], 0, ""),
+    ],
+)
+def test_exit_status_of_the_process(folder, arguments, status: int, said: str):
+    command = [sys.executable, "-c", "from jaxrelight.cli import main; main()", *arguments]
+    root = pathlib.Path(cli.__file__).parents[1]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=folder, env={"PYTHONPATH": str(root)}, check=False
+    )
+    assert done.returncode == status
+    assert "Traceback" not in done.stderr
+    if status == 1:
+        assert done.stderr == said
+    assert said in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS])
+def test_help(run, command: str):
+    status, out, err = run(*[command] * bool(command), "--help")
+    assert (status, err) == (0, "")
+    for word in COMMANDS if not command else ("--json",):
+        assert word in out
+    if command in ("render", "precompute"):
+        for dial in ("--resolution", "--visibility-samples", "--terms", "--coefficients", "--receivers", "--store"):
+            assert dial in out
+    if command in ("render", "relight"):
+        for dial in ("--env", "--rotate-y", "--scale", "--origin", "--fov-y", "--width", "--background", "--exposure"):
+            assert dial in out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["paint"],
+        ["render"],
+        ["render", "scene.toml"],
+        ["relight", "-o", "out.exr"],
+        ["render", "scene.toml", "-o", "out.exr", "--resolution", "many"],
+        ["render", "scene.toml", "-o", "out.exr", "--receivers", "texels"],
+        ["render", "scene.toml", "-o", "out.exr", "--origin", "1", "2"],
+        ["render", "scene.toml", "-o", "out.exr", "--lighting", "indirect"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_command_line(folder, run, arguments):
+    status, out, err = run(*arguments)
+    assert status == 2
+    assert out == ""
+    assert err != ""
+    assert {path.name for path in folder.iterdir()} == {"scene.toml", "sky.exr", "other.hdr"}
+
+
+def test_interruption_says_what_is_kept(folder, run, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stages, "trace_visibility", interrupt)
+    status, _, err = run("precompute", "scene.toml", "-o", "made", *DIALS)
+    assert status == 130
+    assert err.splitlines()[-1] == "jaxrelight: stopped; what is done is kept"
+
+
+# Bad input, one line each.
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["render", "none.toml", "-o", "out.exr"], "none.toml: cannot be read as a scene"),
+        (["render", "scene.toml", "-o", "out.exr", "--resolution", "7"], "resolution is 7; it must be a power of two"),
+        (["render", "scene.toml", "-o", "out.exr", "--resolution", "1024"], "resolution is 1024"),
+        (["render", "scene.toml", "-o", "out.exr", "--terms", "0"], "terms are 0"),
+        (["render", "scene.toml", "-o", "out.exr", "--coefficients", "0"], "coefficients are 0"),
+        (["render", "scene.toml", "-o", "out.exr", "--visibility-samples", "3"], "visibility samples are 3"),
+        (["render", "scene.toml", "-o", "out.exr", "--width", "0"], "image is 0 × 10 pixels"),
+        (["render", "scene.toml", "-o", "out.exr", "--fov-y", "180"], "fov_y is 180.0"),
+        (["render", "scene.toml", "-o", "out.exr", "--origin", "0", "0.1", "0"], "nor origin equal target"),
+        (["render", "scene.toml", "-o", "out.exr", "--env", "none.exr"], "none.exr: no such file"),
+        (["render", "scene.toml", "-o", "out.exr", "--env", "sky.exr", "--scale", "-1"], "sky.exr: rotate_y must be"),
+        (["precompute", "scene.toml", "-o", "sky.exr", *DIALS], "sky.exr: cannot be used as a store"),
+        (["relight", "none", "-o", "out.exr"], "none: not a store"),
+        (["relight", "sky.exr", "-o", "out.exr"], "sky.exr: not a store"),
+        (["info", "none"], "none: no such file"),
+        (["info", "none.exr"], "none.exr: no such file"),
+        (["info", "scene.txt"], "scene.txt: unknown kind of image '.txt'"),
+        (["info", "."], ".: not a store"),
+        (["demo", "--detail", "0"], "detail goes from 0.05 to 8"),
+        (["demo", "--height", "8"], "height from 16 to 4,096"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_line(folder, run, arguments, said: str):
+    (folder / "scene.txt").write_text("a scene")
+    assert said in _refusal(run(*arguments))
+    assert not (folder / "out.exr").exists()
+
+
+@pytest.mark.parametrize("output", ["out.gif", "out", "none/out.exr", "."])
+@pytest.mark.parametrize("command", ["render", "relight"])
+def test_output_is_checked_before_any_work(folder, run, monkeypatch, command: str, output: str):
+    """Even before the scene or the store is looked at: neither exists here."""
+    message = _refusal(run(command, "none.toml", "-o", output))
+    assert output in message
+    assert "scene" not in message
+    assert "store" not in message
+    assert not (folder / "cache").exists()
+
+
+def test_scene_without_environment_is_found_before_any_ray(folder, run, monkeypatch):
+    (folder / "dark.toml").write_text(SCENE.replace('[environment]\nfile = "sky.exr"\n', ""))
+    monkeypatch.setattr(stages, "trace_visibility", None)
+    message = _refusal(run("render", "dark.toml", "-o", "out.exr", *DIALS))
+    assert "no environment; name one with --env MAP" in message
+
+
+def test_dark_store_needs_an_environment(folder, run):
+    (folder / "dark.toml").write_text(SCENE.replace('[environment]\nfile = "sky.exr"\n', ""))
+    assert run("precompute", "dark.toml", "-o", "made", *DIALS)[0] == 0
+    assert "--env MAP" in _refusal(run("relight", "made", "-o", "out.exr"))
+    assert run("relight", "made", "-o", "out.exr", "--env", "sky.exr")[0] == 0
+    assert _summary(run("info", "dark.toml", "--json"))["environment"] == "none"
+
+
+# What is done.
+
+
+def test_render_then_again(folder, run):
+    first = _summary(run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS, "--json"))
+    assert first["rays"] > 0
+    assert set(first["seconds"]) >= {"geometry", "visibility", "transport", "light", "view", "shade", "write"}
+    assert all(seconds >= 0 for seconds in first["seconds"].values())
+    assert set(first["bytes"]) == {"geometry", "visibility", "factors", "transport"}
+    assert 0.5 < first["kept_energy"] < 1
+    assert first["settings"] == {
+        "receivers": "pixels",
+        "resolution": 8,
+        "visibility_samples": 1,
+        "terms": 2,
+        "coefficients": 16,
+        "factor_resolution": 8,
+    }
+    assert set(first["versions"]) == {"jaxrelight", "jax", "embreex"}
+    assert (first["size"], first["picture"], first["store"]) == ("12 × 10", "a.exr", "made")
+    image = read_image("a.exr")
+    assert image.shape == (10, 12, 4)
+    assert first["covered"] == image[..., 3].mean()
+    assert first["receivers"] == image[..., 3].sum()
+    assert first["mean_radiance"] == pytest.approx(image[image[..., 3] == 1][:, :3].mean(), rel=1e-5)
+
+    again = _summary(run("render", "scene.toml", "-o", "b.exr", "--store", "made", *DIALS, "--json"))
+    assert again["rays"] == 0
+    assert pathlib.Path("a.exr").read_bytes() == pathlib.Path("b.exr").read_bytes()
+
+
+def test_render_without_a_store_uses_the_cache(folder, run):
+    for rays in (True, False):
+        summary = _summary(run("render", "scene.toml", "-o", "a.png", *DIALS, "--json"))
+        assert (summary["rays"] > 0) == rays
+        assert pathlib.Path(summary["store"]).parent == folder / "cache" / "jaxrelight"
+
+
+def test_render_in_words(folder, run):
+    status, out, err = run("render", "scene.toml", "-o", "a.hdr", *DIALS)
+    assert (status, err) == (0, "")
+    lines = {line[:16].strip(): line[18:] for line in out.splitlines()}
+    assert lines["picture"] == "a.hdr"
+    assert lines["size"] == "12 × 10"
+    assert "visibility" in lines["seconds"]
+    assert lines["kept energy"].startswith("0.")
+    assert read_image("a.hdr").shape == (10, 12, 3)
+
+
+def test_notes_go_to_standard_error(folder, run):
+    pixels = np.ones((8, 16, 3))
+    pixels[0, 0] = -1
+    write_image("sky.exr", pixels)
+    status, out, err = run("info", "scene.toml", "--json")
+    assert (status, err) == (0, "note: sky.exr: 1 pixels had negative channels, clamped to 0\n")
+    json.loads(out)
+
+
+def test_nonfinite_sky_is_zeroed_when_asked(folder, run):
+    pixels = np.ones((8, 16, 3))
+    pixels[0, 0] = np.nan
+    write_image("sky.exr", pixels)
+    assert "1 NaN or infinite pixels" in _refusal(run("render", "scene.toml", "-o", "a.exr", *DIALS))
+    status, _, err = run("render", "scene.toml", "-o", "a.exr", *DIALS, "--zero-nonfinite")
+    assert status == 0
+    assert "note: sky.exr: 1 NaN or infinite pixels were set to 0" in err
+    assert np.isfinite(read_image("a.exr")).all()
+
+
+def test_relight(folder, run, made):
+    def relit(*arguments) -> np.ndarray:
+        summary = _summary(run("relight", "made", "-o", "out.exr", *arguments, "--json"))
+        assert set(summary) >= {"picture", "size", "covered", "seconds", "operator_bytes", "kept_energy", "settings"}
+        return read_image("out.exr")
+
+    plain = relit()
+    assert plain.shape == (10, 12, 4)
+    surface = plain[..., 3] == 1
+    assert surface.any()
+    assert not surface.all()
+    # The same sky by name, and in both halves of a turn.
+    np.testing.assert_allclose(relit("--env", "sky.exr"), plain, rtol=1e-6)
+    np.testing.assert_allclose(relit("--rotate-y", "360"), plain, rtol=1e-5)
+    turned = relit("--rotate-y", "90")
+    assert np.abs(turned - plain)[surface].max() > 0.01
+    write_image("turned.exr", np.roll(read_image("sky.exr"), -4, axis=1))
+    np.testing.assert_allclose(relit("--env", "turned.exr"), turned, rtol=1e-5)
+    np.testing.assert_allclose(relit("--scale", "3")[..., :3], 3 * plain[..., :3], rtol=1e-5)
+    assert np.abs(relit("--env", "other.hdr") - plain)[surface][:, :3].min() > 0
+    bare = relit("--background", "none")
+    np.testing.assert_array_equal(bare[surface], plain[surface])
+    assert not bare[~surface].any()
+    moved = relit(
+        "--origin", "1", "2", "2", "--target", "0", "0", "0", "--fov-y", "30", "--width", "9", "--height", "7"
+    )
+    assert moved.shape == (7, 9, 4)
+    assert moved[3, 4, 3] == 1
+
+
+def test_relight_keeps_the_scenes_rotation_and_scale(folder, run):
+    text = SCENE.replace('file = "sky.exr"', 'file = "sky.exr"\nrotate_y = 90\nscale = 2')
+    (folder / "scene.toml").write_text(text)
+    assert run("precompute", "scene.toml", "-o", "made", *DIALS)[0] == 0
+    images = []
+    for options in (
+        [],
+        ["--rotate-y", "90"],
+        ["--scale", "2"],
+        ["--env", "sky.exr", "--rotate-y", "90", "--scale", "2"],
+    ):
+        assert run("relight", "made", "-o", "out.exr", *options)[0] == 0
+        images.append(read_image("out.exr"))
+    for image in images[1:]:
+        np.testing.assert_allclose(image, images[0], rtol=1e-6)
+    assert run("relight", "made", "-o", "out.exr", "--rotate-y", "0", "--scale", "1")[0] == 0
+    assert np.abs(read_image("out.exr") - images[0]).max() > 0.01
+
+
+def test_exposure_is_for_png(folder, run, made):
+    means = []
+    for stops in ("0", "2"):
+        assert run("relight", "made", "-o", "out.png", "--exposure", stops)[0] == 0
+        means.append(read_image("out.png").mean())
+        assert run("relight", "made", "-o", f"out{stops}.exr", "--exposure", stops)[0] == 0
+    assert means[1] > 1.2 * means[0]
+    np.testing.assert_array_equal(read_image("out0.exr"), read_image("out2.exr"))
+
+
+def test_other_camera_of_a_store_of_pixels_is_refused(folder, run):
+    assert run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS)[0] == 0
+    message = _refusal(run("relight", "made", "-o", "b.exr", "--fov-y", "50"))
+    assert "--receivers vertices" in message
+    assert not (folder / "b.exr").exists()
+
+
+def test_render_with_another_camera(folder, run):
+    summary = _summary(
+        run("render", "scene.toml", "-o", "a.exr", "--origin", "0", "2", "2", "--width", "8", *DIALS, "--json")
+    )
+    assert summary["size"] == "8 × 10"
+    assert read_image("a.exr").shape == (10, 8, 4)
+
+
+def test_info_on_a_store(folder, run, made):
+    summary = _summary(run("info", "made", "--json"))
+    assert summary["scene"] == "scene"
+    assert summary["receivers"] == 16 + 56
+    assert summary["rows"] == 128 + 2 * 128
+    assert summary["materials"] == {"gloss": "2 terms", "paper": "1 terms"}
+    assert summary["settings"]["coefficients"] == 16
+    assert set(summary["bytes"]) == {path.name for path in made.iterdir() if path.is_dir()}
+    assert summary["unused_layers"] == []
+    assert 0.5 < summary["kept_energy"] < 1
+    assert 0 < summary["largest_error_for_unit_light"] < 10
+    # A layer that another material left behind is named.
+    changed = SCENE.replace("albedo = [0.5, 0.4, 0.3]", "albedo = 0.9")
+    (folder / "scene.toml").write_text(changed)
+    assert run("precompute", "scene.toml", "-o", "made", *DIALS)[0] == 0
+    unused = _summary(run("info", "made", "--json"))["unused_layers"]
+    assert sorted(name.partition("-")[0] for name in unused) == ["factors", "transport"]
+
+
+def test_info_on_a_scene(folder, run):
+    summary = _summary(run("info", "scene.toml", "--json"))
+    assert summary["vertices"] == 16 + 56
+    assert summary["materials"] == {"gloss": "glossy", "paper": "diffuse"}
+    assert list(summary["meshes"].values()) == ["16 vertices, 18 faces, paper", "56 vertices, 108 faces, gloss"]
+    assert summary["camera"] == "12 × 10 pixels, 38.0° high"
+    assert summary["environment"] == "16 × 8"
+
+
+def test_info_on_an_image(folder, run):
+    pixels = np.full((4, 6, 3), 0.5)
+    pixels[0, 0] = np.nan
+    pixels[1, 1] = -1, 3, 0.5
+    write_image("image.exr", pixels)
+    summary = _summary(run("info", "image.exr", "--json"))
+    assert summary["size"] == "6 × 4, 3 channels"
+    assert (summary["largest"], summary["negative_pixels"], summary["not_finite_pixels"]) == (3, 1, 1)
+    np.testing.assert_allclose(summary["mean"], [(22 * 0.5 - 1) / 23, (22 * 0.5 + 3) / 23, 0.5])
+
+
+def test_damaged_store_is_one_line(folder, run, made):
+    header = store.read_header(made)
+    chunk = next(
+        path for path in (made / header["materials"][0]["transport"] / "values").glob("c/**/*") if path.is_file()
+    )
+    chunk.write_bytes(chunk.read_bytes()[:-1])
+    for arguments in (["relight", "made", "-o", "out.exr"], ["info", "made"]):
+        assert "'values' is damaged" in _refusal(run(*arguments))
+    assert not (folder / "out.exr").exists()
+
+
+def test_demo(folder, run):
+    summary = _summary(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
+    pictures = {path.name for path in (folder / "shown").glob("*.png")}
+    assert pictures == {"relit.png", "sky_turned_0.png", "sky_turned_70.png", "sky_turned_200.png"}
+    turned = [read_image(f"shown/sky_turned_{degrees}.png") for degrees in (0, 70, 200)]
+    assert all(image.shape == (16, 21, 3) for image in turned)
+    assert read_image("shown/relit.png").shape == (32, 63, 3)
+    assert all(np.abs(turned[0] - other).mean() > 0.01 for other in turned[1:])
+    assert summary["rays"] > 0
+    assert set(summary["milliseconds"]) == {"change of light", "change of view", "shading"}
+    assert set(summary["bytes"]) == {"geometry", "visibility", "factors", "transport"}
+    assert summary["versions"]["jaxrelight"]
+    assert summary["settings"]["coefficients"] == 256
+    assert 0.9 < summary["kept_energy"] < 1
+    errors = summary["error"]
+    assert 0 < errors["without the worst 5 %"] < errors["256 coefficients against all"] < 0.1
+    assert {path.name.partition("-")[0] for path in (folder / "shown" / "store").glob("*-*")} == set(summary["bytes"])
