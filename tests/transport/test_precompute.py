@@ -596,10 +596,7 @@ def test_gradient_of_the_light_vector_in_float32(small: Relighter, sky):
 
 def _picture(relighter: Relighter, reflections, light, view):
     """The picture with other reflections on the same visibility."""
-    transport = dataclasses.replace(
-        relighter.transport, reflections=reflections, operator=jr.rebake(relighter.transport, reflections).operator
-    )
-    changed = Relighter(transport)
+    changed = Relighter(jr.rebake(relighter.transport, reflections))
     return changed.shade(changed.terms(light), view)
 
 
