@@ -37,6 +37,7 @@ class Scene:
         camera: the view, unless another is asked for.
         environment: the light, unless another is asked for.
         name: what messages call it.
+        terms: factors of a material, by its name, where it is to have another number than the settings say.
     """
 
     parts: Sequence[Part]
@@ -44,6 +45,7 @@ class Scene:
     camera: Camera
     environment: Environment | None = None
     name: str = "scene"
+    terms: Mapping[str, int] = dataclasses.field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -76,12 +78,14 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
         _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
     )
     named = root.table("material")
-    materials = {name: _material(named.table(name)) for name in named.names()}
+    tables = {name: named.table(name) for name in named.names()}
+    terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
+    materials = {name: _material(table) for name, table in tables.items()}
     parts = tuple(_part(table, path.parent, materials) for table in root.tables("mesh"))
     root.finish()
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]")
-    return Scene(parts, materials, camera, environment, path.stem)
+    return Scene(parts, materials, camera, environment, path.stem, terms)
 
 
 class _Table:
@@ -250,6 +254,13 @@ def _material(table: _Table) -> Brdf:
         raise InputError(f"{table.where}: 'normal_map' is not supported yet; remove it")
     table.finish()
     return brdf
+
+
+def _terms(table: _Table) -> int:
+    terms = table.whole("terms")
+    if terms < 1:
+        raise InputError(f"{table.where}: 'terms' must be at least 1, not {terms}")
+    return terms
 
 
 def _not_negative(table: _Table, key: str) -> np.ndarray:

@@ -107,14 +107,13 @@ def precompute(
             brdf, groups = scene.materials[name], receivers.groups_of(number)
             if not len(groups):
                 continue
-            reflection, factors = _factors(folder, brdf, settings)
+            terms = scene.terms.get(name, settings.terms)
+            reflection, factors = _factors(folder, brdf, terms, settings)
             reflection = reflection or fixed_view(brdf, receivers, groups)
             record = {"name": name, "brdf": to_record(brdf), "factors": factors}
             if settings.coefficients != "all":
-                key = store.key_of(
-                    visibility_key, number, record["brdf"], settings.terms, settings.coefficients,
-                    settings.factor_resolution,
-                )  # fmt: skip
+                # The name of the factors tells their number and their resolution.
+                key = store.key_of(visibility_key, number, record["brdf"], factors, settings.coefficients)
                 layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
                 _bake_groups(layer, visibility, groups, frames[groups], reflection, settings, name, report)
                 record["transport"] = layer.folder.name
@@ -188,17 +187,17 @@ def _write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
     return layer
 
 
-def _factors(folder: pathlib.Path, brdf: Brdf, settings: Settings) -> tuple[Factored | None, str | None]:
+def _factors(folder: pathlib.Path, brdf: Brdf, terms: int, settings: Settings) -> tuple[Factored | None, str | None]:
     """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant."""
     if settings.receivers == "pixels" and not brdf.is_constant:
         return None, None
-    key = store.key_of(to_record(brdf), settings.terms, settings.factor_resolution)
+    key = store.key_of(to_record(brdf), terms, settings.factor_resolution)
     path = folder / f"factors-{key}"
     if path.exists():
         layer = store.open_layer(path)
         if not layer.missing:
             return read_factors(layer), path.name
-    factors = factor(brdf, settings.terms, settings.factor_resolution)
+    factors = factor(brdf, terms, settings.factor_resolution)
     arrays = {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)}
     layer = store.Layer(path, {name: (a.shape, a.dtype) for name, a in arrays.items()}, 1)
     layer.write(0, **arrays)

@@ -717,3 +717,13 @@ def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
         summary = jr.precompute(dataclasses.replace(scene, materials=changed), SETTINGS, tmp_path / "store")
     assert summary.rays == 0
     assert found == []
+
+
+def test_a_material_may_have_its_own_number_of_terms(tmp_path):
+    scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 3})
+    glossy = {name for name, brdf in scene.materials.items() if not brdf.is_constant}
+    settings = Settings("vertices", resolution=4, terms=2, coefficients=24, factor_resolution=8)
+    jr.precompute(scene, settings, tmp_path)
+    transport = jr.load(tmp_path)
+    for name, reflection in zip(transport.names, transport.reflections, strict=True):
+        assert reflection.terms == (scene.terms.get(name, 2) if name in glossy else 1)
