@@ -149,6 +149,9 @@ def test_both_sides_of_a_surface_occlude():
 def test_rays_without_end_are_traced_to_the_end():
     surfaces = join([box((1e6, 1e6, 1e6), 1), sphere(1, 4)])
     assert Tracer(surfaces).occluded(np.zeros((100, 3)), random_directions(100)).all()
+    origins = np.array([[0, 1e4, 0], [5, 1e4, 0]])
+    face, _ = Tracer(surfaces).first_hits(origins, np.array([[0, -1.0, 0], [0, -1, 0]]))
+    np.testing.assert_array_equal(face >= 0, [True, False])
 
 
 @pytest.mark.parametrize(

@@ -86,12 +86,19 @@ def test_is_the_brute_force_answer():
     assert np.mean((visible != expected)[np.abs(height) > 1e-6]) < 1e-3
 
 
-def test_origins_are_lifted_along_the_face_normal_and_directions_judged_by_the_shading_normal():
+def test_directions_above_the_shading_normal_but_below_the_surface_hit_it():
     surfaces = join([plane((2, 2), 1)])
     tilted = np.array([[0.6, 0.8, 0]])
     visible, _ = trace(surfaces, [[0.1, 0, 0.2]], tilted, np.array([[0.0, 1, 0]]))
-    # Above the shading normal but below the plane, the surface itself is in the way, as far as it reaches.
     np.testing.assert_array_equal(visible[0], (DIRECTIONS @ tilted[0] > 0) & (DIRECTIONS[:, 1] > 0))
+
+
+def test_origins_are_lifted_along_the_face_normal_even_where_the_shading_normal_points_into_the_surface():
+    surfaces = join([plane((2, 2), 1)])
+    inwards = np.array([[0.8, -0.6, 0]])
+    visible, _ = trace(surfaces, [[-0.1, 0, 0.2]], inwards, np.array([[0.0, 1, 0]]))
+    np.testing.assert_array_equal(visible[0], (DIRECTIONS @ inwards[0] > 0) & (DIRECTIONS[:, 1] > 0))
+    assert visible.any()
 
 
 def test_a_normal_without_direction_sees_nothing_and_traces_nothing():
