@@ -141,6 +141,12 @@ def test_defaults(folder):
     np.testing.assert_array_equal(scene.parts[0].mesh.vertices, plane(resolution=2).vertices)
 
 
+def test_terms_of_a_material(folder):
+    scene = load_scene(_write(folder, _changed(GOOD, "exponent = 12", "exponent = 12\nterms = 7")))
+    assert scene.terms == {"lacquer": 7}
+    assert load_scene(_write(folder, GOOD)).terms == {}
+
+
 def test_mesh_file_is_relative_to_the_scene(folder):
     (folder / "sub").mkdir()
     (folder / "sub" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
@@ -268,6 +274,8 @@ def test_unknown_key_without_a_like_lists_the_known(folder):
         ("albedo = 0.5", "albedo = -0.5", "[paper]: 'albedo' must not be negative"),
         ("albedo = 0.5", "albedo = nan", "[paper]: 'albedo' must be finite"),
         ("albedo = 0.5", "albedo = true", "[paper]: 'albedo' must be a number"),
+        ("albedo = 0.5", "albedo = 0.5\nterms = 0", "[paper]: 'terms' must be at least 1, not 0"),
+        ("albedo = 0.5", "albedo = 0.5\nterms = 1.5", "[paper]: 'terms' must be a whole number"),
         ('"lambert"', "3", "[paper]: 'type' must be text"),
         ('"lambert"', '"lambart"', "[paper]: type 'lambart' is not known; known are lambert, phong, lafortune"),
         ('"plane"', '"plain"', "number 1: primitive 'plain' is not known; known are plane, sphere, box"),

@@ -145,11 +145,27 @@ def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
 def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tmp_path):
     shutil.copytree(made_pixels, tmp_path / "a")
     old = _layers(tmp_path / "a")
-    white = dataclasses.replace(scene, materials={**scene.materials, "stone": jr.lambert(0.9)})
-    summary = jr.precompute(white, PIXELS, tmp_path / "a")
+    dull = dataclasses.replace(scene, materials={**scene.materials, "lacquer": jr.phong(0.1, 0.4, 2.0)})
+    summary = jr.precompute(dull, PIXELS, tmp_path / "a")
     assert summary.rays == 0
-    new = _layers(tmp_path / "a") - old
-    assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
+    # The view is fixed: a glossy material needs no factors.
+    assert [name.partition("-")[0] for name in _layers(tmp_path / "a") - old] == ["transport"]
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_equal_materials_of_two_names_have_layers_of_their_own(tmp_path, receivers: str):
+    """The picture is that of one material on all meshes, whose receivers are other groups."""
+    scene = _small_scene()
+    gloss = scene.materials["gloss"]
+    settings = Settings(receivers, resolution=4, terms=2, coefficients=24, factor_resolution=8)
+    both = dataclasses.replace(scene, materials={"paper": gloss, "gloss": gloss})
+    one = dataclasses.replace(both, parts=[dataclasses.replace(part, material="gloss") for part in scene.parts])
+    images = []
+    for name, same in (("both", both), ("one", one)):
+        jr.precompute(same, settings, tmp_path / name)
+        images.append(_image(tmp_path / name, same))
+    assert len(list((tmp_path / "both").glob("transport-*"))) == 2
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-5, atol=1e-6)
 
 
 def test_renamed_material_keeps_its_layers(scene, copy):
