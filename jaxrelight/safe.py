@@ -1,5 +1,6 @@
 """Powers, norms and angles whose values and gradients stay finite where the plain formulas do not."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -11,16 +12,18 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Arr
     """Computes max(0, base)**exponent as exp(exponent · log base), and 0 where base ≤ 0, also for exponent 0.
 
     The input of the logarithm is masked, not only its result, so gradients are finite for every base; a power
-    beyond exp(80) is held there.
+    beyond exp(80) is held there, and a base nearer to 0 than float's smallest^¾ counts as that.
     """
     positive = base > 0
-    logarithm = exponent * jnp.log(jnp.where(positive, base, 1))
+    smallest = float(jnp.finfo(jnp.result_type(base, jnp.float32)).tiny) ** 0.75
+    logarithm = exponent * jnp.log(jnp.where(positive, jnp.maximum(base, smallest), 1))
     return jnp.where(positive, jnp.exp(jnp.minimum(logarithm, _LARGEST_LOG)), 0)
 
 
 def norm(vector: Float[Array, "... n"]) -> Float[Array, "..."]:
     """Euclidean length over the last axis: 0 with a zero gradient at the zero vector, no overflow before 1e38."""
-    largest = jnp.max(jnp.abs(vector), axis=-1, keepdims=True)
+    # The scale changes nothing but rounding, so it has no derivative.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vector), axis=-1, keepdims=True))
     nonzero = largest > 0
     scaled = jnp.where(nonzero, vector, 1) / jnp.where(nonzero, largest, 1)
     length = jnp.sqrt(jnp.sum(scaled * scaled, axis=-1))
@@ -29,13 +32,15 @@ def norm(vector: Float[Array, "... n"]) -> Float[Array, "..."]:
 
 def normalize(vector: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """The unit vector along `vector`; the zero vector stays zero, with a zero gradient."""
-    length = norm(vector)[..., None]
-    nonzero = length > 0
-    return jnp.where(nonzero, vector, 0) / jnp.where(nonzero, length, 1)
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(vector), axis=-1, keepdims=True))
+    nonzero = largest > 0
+    scaled = jnp.where(nonzero, vector, 0) / jnp.where(nonzero, largest, 1)
+    return scaled / jnp.where(nonzero, norm(scaled)[..., None], 1)
 
 
 def angle(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """Angle between two vectors in radians, as atan2(|a × b|, a · b): accurate near 0 and π, where arccos is not."""
+    a, b = normalize(a), normalize(b)
     sine, cosine = norm(jnp.cross(a, b)), jnp.sum(a * b, axis=-1)
     undefined = (sine == 0) & (cosine == 0)
     return jnp.where(undefined, 0, jnp.arctan2(sine, jnp.where(undefined, 1, cosine)))

@@ -125,3 +125,24 @@ def test_angle_of_a_zero_vector_is_zero():
 def test_angle_has_the_right_gradient(x64):
     vectors = jnp.asarray([0.3, -2.0, 0.7]), jnp.asarray([1.0, 0.2, 0.1])
     check_grads(angle, vectors, 1, ["fwd", "rev"])
+
+
+@pytest.mark.parametrize("size", [1e-19, 1e-25, 1e25])
+def test_gradients_of_lengths_do_not_depend_on_size(size):
+    vector = jnp.full(3, size, jnp.float32)
+    np.testing.assert_allclose(jax.grad(safe.norm)(vector), np.full(3, 3**-0.5), rtol=1e-6)
+    assert np.isfinite(jax.jacobian(safe.normalize)(vector)).all()
+
+
+def test_angles_of_nearly_parallel_and_of_long_vectors():
+    gradient = jax.grad(safe.angle)(jnp.asarray([1e-19, 0, 1.0]), jnp.asarray([0, 0, 1.0]))
+    assert np.isfinite(gradient).all()
+    long = safe.angle(jnp.asarray([1e25, 0, 0]), jnp.asarray([1e25, 1e25, 0]))
+    np.testing.assert_allclose(long, np.pi / 4, rtol=1e-6)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.5, 1e4, 16600.0])
+def test_power_of_a_tiny_base_is_finite_forwards(exponent):
+    value, tangent = jax.jvp(lambda base: safe.power(base, exponent), (jnp.float32(1e-36),), (jnp.float32(1),))
+    assert np.isfinite(value)
+    assert np.isfinite(tangent)

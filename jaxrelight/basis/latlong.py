@@ -7,6 +7,7 @@ of the map, so resampling weighs every pixel by the solid angle it shares with a
 import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -51,8 +52,8 @@ def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Ar
 def look_up(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... c"]:
     """Radiance of the constant cell at image coordinates (u, v)."""
     height, width = pixels.shape[:2]
-    row = jnp.clip((v * height).astype(jnp.int32), 0, height - 1)
-    return pixels[row, jnp.mod((u * width).astype(jnp.int32), width)]
+    row = jnp.clip(jnp.floor(v * height).astype(jnp.int32), 0, height - 1)
+    return pixels[row, jnp.mod(jnp.floor(u * width).astype(jnp.int32), width)]
 
 
 class AreaResampling(eqx.Module):
@@ -92,9 +93,13 @@ def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
         entry = np.where(inside, starts[rows, None] + slot, 0)
         values = np.where(inside, weight[entry], 0)[:, None].astype(np.float32)
         indices = np.where(inside, pixel[entry], 0).astype(np.int32)
-        groups.append(sparse_rows(jnp.asarray(indices), jnp.asarray(values), height * width))
+        # The result is kept, so it must not be made of a caller's tracers.
+        with jax.ensure_compile_time_eval():
+            groups.append(sparse_rows(jnp.asarray(indices), jnp.asarray(values), height * width))
         members.append(rows)
-    return AreaResampling(tuple(groups), jnp.asarray(np.argsort(np.concatenate(members), kind="stable")))
+    order = np.argsort(np.concatenate(members), kind="stable").astype(np.int32)
+    with jax.ensure_compile_time_eval():
+        return AreaResampling(tuple(groups), jnp.asarray(order))
 
 
 def _overlaps(height: int, width: int, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -71,7 +71,11 @@ def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarr
     """
     if (specular is None) == (peak is None):
         raise InputError("a lobe needs exactly one of 'specular' and 'peak'")
-    C = np.atleast_2d(np.asarray(C, float))
+    C, factor = np.atleast_2d(np.asarray(C, float)), np.asarray(peak if specular is None else specular, float)
+    if C.shape[-1] != 3 or C.ndim != 2:
+        raise InputError(f"a lobe's C needs three numbers, or three for every channel, not the shape {C.shape}")
+    if not all(np.isfinite(part).all() for part in (C, factor, np.asarray(exponent, float))):
+        raise InputError("a lobe's C, exponent and factor must be finite")
     n = np.broadcast_to(np.atleast_1d(np.asarray(exponent, float)), (max(len(C), np.size(exponent)),))
     if (n < 0).any():
         raise InputError("a lobe's exponent must be at least 0")
@@ -79,9 +83,9 @@ def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarr
     largest = np.abs(C).max(axis=-1)
     normal = np.where(largest[:, None] > 0, C / np.where(largest > 0, largest, 1)[:, None], 0)
     if peak is not None:
-        return normal, n, np.atleast_1d(np.asarray(peak, float))
+        return normal, n, np.atleast_1d(factor)
     with np.errstate(over="ignore", divide="ignore"):
-        scale = np.asarray(specular, float) * np.exp(n * np.log(np.where(largest > 0, largest, 1)))
+        scale = factor * np.exp(n * np.log(np.where(largest > 0, largest, 1)))
     if not (np.abs(scale) < np.finfo(np.float32).max).all():
         raise InputError("a lobe's specular · max|C|^exponent is too large; give 'peak', its largest value, instead")
     return normal, n, np.atleast_1d(scale)

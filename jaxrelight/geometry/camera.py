@@ -30,8 +30,9 @@ class Camera:
     height: int = 512
 
     def __post_init__(self):
-        values = np.array([*self.origin, *self.target, *self.up, self.fov_y], float)
-        if values.shape != (10,) or not np.isfinite(values).all():
+        vectors = [np.asarray(vector, float) for vector in (self.origin, self.target, self.up)]
+        finite = np.isfinite(self.fov_y) and all(np.isfinite(vector).all() for vector in vectors)
+        if not finite or any(vector.shape != (3,) for vector in vectors):
             raise InputError("the camera's origin, target and up need three finite numbers each, fov_y one")
         if not 0 < self.fov_y < 180:
             raise InputError(f"the camera's fov_y is {self.fov_y}; it must lie between 0 and 180 degrees")

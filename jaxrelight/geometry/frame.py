@@ -14,5 +14,8 @@ def tangent_frame(normal: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
     x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
     s = jnp.stack([(y + 1) ** 2 + z**2 - x**2, -2 * (y + 1) * x, -2 * x * z], axis=-1)
     opposite = safe.norm(s) <= 1e-6
-    s = safe.normalize(jnp.where(opposite[..., None], jnp.asarray([1.0, 0.0, 0.0], s.dtype), s))
+    across = jnp.stack([1 - x**2, -x * y, -x * z], axis=-1)
+    s = safe.normalize(jnp.where(opposite[..., None], across, s))
+    # Near −y rounding tilts s.
+    s = safe.normalize(s - jnp.sum(s * normal, axis=-1, keepdims=True) * normal)
     return jnp.stack([s, jnp.cross(normal, s), normal], axis=-2)

@@ -48,8 +48,9 @@ def environment(
     Raises:
         InputError: for another shape than [h, 2h, 3 or 4], or pixels that are not finite.
     """
-    pixels = np.asarray(pixels, np.float32)
-    if pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or pixels.shape[1] != 2 * pixels.shape[0]:
+    with np.errstate(over="ignore"):
+        pixels = np.asarray(pixels, np.float32)
+    if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4) or pixels.shape[1] != 2 * pixels.shape[0]:
         raise InputError(f"{name} has shape {pixels.shape}; a lat-long map is h × 2h pixels of three channels")
     if not (np.isfinite(rotate_y) and np.isfinite(scale) and scale >= 0):
         raise InputError(f"{name}: rotate_y must be finite and scale finite and not negative")

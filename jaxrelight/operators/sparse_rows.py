@@ -43,6 +43,8 @@ class SparseRows(Operator):
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: a gather of light and a short sum, block by block."""
         channels = range(light.shape[1])
+        if len(self.values) not in (1, len(channels)):
+            raise ValueError(f"light has {len(channels)} channels, the operator {len(self.values)}")
         # One contiguous vector of light for each channel.
         by_channel = tuple(light[:, c] for c in channels)
 

@@ -69,7 +69,7 @@ def _row(
     bits: UInt8[Array, " bytes"], frame: Float[Array, "3 3"], reflection: Reflection, directions: Directions
 ) -> Float[Array, "k c d"]:
     """Transport of one receiver over the texels."""
-    local = frame @ directions.vectors.T
+    local = jnp.matmul(frame, directions.vectors.T, precision="highest")
     weight = jnp.maximum(local[2], 0) * directions.solid_angles * unpack(bits, frame.dtype)
     light_side = jax.vmap(reflection.light_side, in_axes=1, out_axes=2)(local)
     return directions.to_texels(light_side * weight)

@@ -32,6 +32,10 @@ class Settings:
             if not good:
                 raise InputError(message)
 
+        for name in ("resolution", "visibility_samples", "terms", "factor_resolution"):
+            value = getattr(self, name)
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            require(whole, f"{name.replace('_', ' ')} is {value!r}; it must be a whole number")
         n, rays = self.resolution, self.visibility_samples
         require(
             self.receivers in ("vertices", "pixels"), f"receivers are 'vertices' or 'pixels', not '{self.receivers}'"
@@ -43,7 +47,7 @@ class Settings:
         if self.coefficients != "all":
             limit = 6 * n * n
             require(
-                isinstance(self.coefficients, int) and 1 <= self.coefficients <= limit,
+                type(self.coefficients) is int and 1 <= self.coefficients <= limit,
                 f"coefficients are {self.coefficients}; from 1 to {limit:,} can be kept at resolution {n}, or 'all'",
             )
 

@@ -202,3 +202,16 @@ def test_gradient_in_the_angle_is_the_finite_difference(x64):
         np.testing.assert_allclose(jax.jacfwd(value)(degrees), difference, rtol=1e-8)
     # At a whole pixel it is that of turning on.
     np.testing.assert_allclose(jax.grad(value)(45.0), (value(45.0 + 1e-3) - value(45.0)) / 1e-3, rtol=1e-8)
+
+
+def test_cells_left_of_the_seam_are_found():
+    cells = jnp.arange(16.0).reshape(1, 16, 1)
+    found = latlong.look_up(cells, jnp.asarray([-0.1, -0.01, 1.01]), jnp.full(3, 0.5))
+    np.testing.assert_array_equal(found.ravel(), [14, 15, 0])
+
+
+def test_a_resampling_first_made_under_jit_can_be_used_afterwards():
+    latlong.area_resampling.cache_clear()
+    pixels = jnp.ones((6, 12, 3))
+    jax.jit(lambda pixels: latlong.area_resampling(6, 12, 4).apply(pixels))(pixels)
+    np.testing.assert_allclose(latlong.area_resampling(6, 12, 4).apply(pixels), 1, rtol=1e-6)

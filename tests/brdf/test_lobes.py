@@ -220,3 +220,17 @@ def test_a_tight_phong_has_its_albedo_too(x64):
 def test_phong_never_reflects_more_than_it_gets(x64, cosine):
     omega_o = np.array([math.sqrt(1 - cosine**2), 0, cosine])
     assert albedo(phong(0.3, 0.7, 10), omega_o).max() <= 1.0 + 1e-6
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"C": [-1, -1, 1], "exponent": float("nan"), "peak": 1},
+        {"C": [float("nan"), -1, 1], "exponent": 2, "peak": 1},
+        {"C": [-1, -1, 1], "exponent": 2, "peak": float("inf")},
+        {"C": [-1, 1], "exponent": 2, "peak": 1},
+    ],
+)
+def test_numbers_that_are_none_are_refused(arguments):
+    with pytest.raises(InputError, match=r"finite|three numbers"):
+        lobe(**arguments)

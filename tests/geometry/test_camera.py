@@ -76,3 +76,8 @@ def test_impossible_cameras_are_refused(change, message):
     with pytest.raises(InputError, match=message) as caught:
         any_camera(**{"origin": (0, 0, 5), "target": (0, 0, 0), **change})
     assert "\n" not in str(caught.value)
+
+
+def test_vectors_of_other_lengths_are_refused():
+    with pytest.raises(InputError, match="three finite numbers"):
+        Camera((0, 0), (0, 0, 0, 1))  # pyright: ignore[reportArgumentType]

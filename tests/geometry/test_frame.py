@@ -74,3 +74,10 @@ def test_gradients_are_finite_everywhere(derivative):
     n = np.concatenate([normals(20), near_minus_y(1e-2), near_minus_y(1e-5), np.zeros((1, 3))])
     slopes = jax.jit(jax.vmap(derivative(frame.tangent_frame)))(jnp.asarray(n, jnp.float32))
     assert np.isfinite(slopes).all()
+
+
+@pytest.mark.parametrize("tilt", [0, 1e-5, 5e-4, 9e-4, 1.1e-3])
+def test_frames_are_orthonormal_close_to_minus_y(tilt):
+    normal = np.array([tilt, -1, tilt / 3])
+    frame = tangent_frame(jnp.asarray(normal / np.linalg.norm(normal), jnp.float32))
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-6)

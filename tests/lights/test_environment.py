@@ -158,3 +158,13 @@ def test_encode_has_gradients_in_pixels_rotation_and_scale(x64, resampling):
         return any_encode(pixels, degrees, scale, resampling, HaarFaces(4))
 
     check_grads(value, (jnp.asarray(sky(16), jnp.float64), 33.0, 1.5), 1, ["fwd", "rev"])
+
+
+def test_a_map_without_pixels_is_refused():
+    with pytest.raises(InputError, match="shape"):
+        environment(np.zeros((0, 0, 3)))
+
+
+def test_what_float32_cannot_hold_is_refused_as_infinite():
+    with pytest.raises(InputError, match="infinite"):
+        environment(np.full((2, 4, 3), 1e39))

@@ -66,3 +66,11 @@ def test_all_else_is_refused_in_one_line(bad, message):
     with pytest.raises(InputError, match=message) as caught:
         any_settings(**bad)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"resolution": 8.0}, {"terms": "4"}, {"terms": 2.5}, {"visibility_samples": True}, {"coefficients": True}]
+)
+def test_what_is_no_whole_number_is_refused(wrong):
+    with pytest.raises(InputError):
+        Settings(**wrong)
