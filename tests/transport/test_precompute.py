@@ -626,17 +626,13 @@ def test_gradient_of_the_picture_in_the_material(small: Relighter, sky):
     old = reflections[number]
     if isinstance(old, FixedView):
         assert isinstance(old.brdf, LobeSum)
-        parameters, omega_o = _double(old.brdf), old.omega_o
-
-        def changed(brdf):
-            return FixedView(brdf, omega_o)
-
+        parameters = _double(old.brdf)
     else:
         assert isinstance(old, Factored)
         parameters = _double(old)
 
-        def changed(maps):
-            return maps
+    def changed(parameters):
+        return FixedView(parameters, old.omega_o) if isinstance(old, FixedView) else parameters
 
     @jax.jit
     def picture(parameters):
