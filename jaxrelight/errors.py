@@ -6,3 +6,7 @@ class InputError(Exception):
 
     The command line prints the message and exits with status 1; no traceback is shown.
     """
+
+    def __init__(self, message: str):
+        # Names from files may hold line breaks.
+        super().__init__(" ".join(message.splitlines()))

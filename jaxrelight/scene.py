@@ -108,8 +108,9 @@ class _Table:
             return self._content[key]
         if default:
             return default[0]
-        self._suggest_unknown()
-        raise InputError(f"{self.where}: '{key}' is missing")
+        unread = [name for name in self._content if name not in self._asked]
+        close = difflib.get_close_matches(key, unread, n=1)
+        raise InputError(f"{self.where}: '{key}' is missing" + (f"; is '{close[0]}' it, misspelt?" if close else ""))
 
     def table(self, key: str) -> "_Table":
         return _Table(self.get(key), f"{self.where}: [{key}]")
@@ -147,15 +148,16 @@ class _Table:
         value = self.get(key, *default)
         try:
             array = np.asarray(value, float)
-        except (TypeError, ValueError):
-            array = None
-        if array is None or array.shape not in shapes or isinstance(value, (str, bool)):
+            plain = all(type(item) in (int, float) for item in np.asarray(value, object).ravel())
+        except (TypeError, ValueError, OverflowError):
+            array, plain = None, False
+        if array is None or not plain or array.shape not in shapes:
             wanted = " or ".join(
                 "a number" if not shape else " × ".join(map(str, shape)) + " numbers" for shape in shapes
             )
             raise InputError(f"{self.where}: '{key}' must be {wanted}, not {value!r}")
-        if not np.isfinite(array).all():
-            raise InputError(f"{self.where}: '{key}' must be finite, not {value!r}")
+        if not (np.abs(array) < np.finfo(np.float32).max).all():
+            raise InputError(f"{self.where}: '{key}' must be finite, also as float32, not {value!r}")
         return array
 
     def finish(self):
@@ -182,24 +184,30 @@ def _camera(table: _Table) -> Camera:
     try:
         return Camera(**values)
     except InputError as error:
-        raise InputError(f"{table.where}: {error}") from None
+        raise _within(table, error) from None
 
 
 def _environment(table: _Table, folder: pathlib.Path, zero_nonfinite: bool) -> Environment:
     file, rotate_y, scale = table.text("file"), table.number("rotate_y", 0.0), table.number("scale", 1.0)
     table.finish()
-    return load_environment(folder / file, rotate_y, scale, zero_nonfinite=zero_nonfinite)
+    try:
+        return load_environment(folder / file, rotate_y, scale, zero_nonfinite=zero_nonfinite)
+    except InputError as error:
+        raise _within(table, error) from None
 
 
 def _part(table: _Table, folder: pathlib.Path, materials: Mapping[str, Brdf]) -> Part:
     if table.has("file") == table.has("primitive"):
         raise InputError(f"{table.where}: give either 'file' or 'primitive'")
     name = table.text("file", "") or table.text("primitive")
-    mesh = meshes.load_mesh(folder / name) if table.has("file") else _primitive(table)
-    if table.has("normalize"):
-        mesh = meshes.normalized(mesh, table.number("normalize"))
-    if table.has("transform"):
-        mesh = meshes.transformed(mesh, table.array("transform", (4, 4)))
+    try:
+        mesh = meshes.load_mesh(folder / name) if table.has("file") else _primitive(table)
+        if table.has("normalize"):
+            mesh = meshes.normalized(mesh, table.number("normalize"))
+        if table.has("transform"):
+            mesh = meshes.transformed(mesh, table.array("transform", (4, 4)))
+    except InputError as error:
+        raise _within(table, error) from None
     for key, what in (
         ("materials", "materials by part"),
         ("two_sided", "two-sided meshes"),
@@ -207,8 +215,6 @@ def _part(table: _Table, folder: pathlib.Path, materials: Mapping[str, Brdf]) ->
     ):
         if table.has(key):
             raise InputError(f"{table.where}: '{key}': {what} are not supported yet; remove the key")
-    if not table.has("material"):
-        raise InputError(f"{table.where}: 'material' is missing; a file's own materials are not supported yet")
     material = table.text("material")
     if material not in materials:
         close = difflib.get_close_matches(material, materials, n=1)
@@ -248,12 +254,17 @@ def _material(table: _Table) -> Brdf:
         else:
             raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune")
     except InputError as error:
-        message = str(error)
-        raise InputError(message if message.startswith(table.where) else f"{table.where}: {message}") from None
+        raise _within(table, error) from None
     if table.has("normal_map"):
         raise InputError(f"{table.where}: 'normal_map' is not supported yet; remove it")
     table.finish()
     return brdf
+
+
+def _within(table: _Table, error: InputError) -> InputError:
+    """The error, told with the place in the scene file that it comes from."""
+    message = str(error)
+    return InputError(message if message.startswith(table.where) else f"{table.where}: {message}")
 
 
 def _terms(table: _Table) -> int:
@@ -272,7 +283,7 @@ def _not_negative(table: _Table, key: str) -> np.ndarray:
 
 def _lafortune_lobe(table: _Table):
     C = table._numbers("C", [(3,), (3, 3)])
-    factors = {key: table.channels(key) for key in ("specular", "peak") if table.has(key)}
+    factors = {key: _not_negative(table, key) for key in ("specular", "peak") if table.has(key)}
     made = lobes.lobe(C, _not_negative(table, "exponent"), **factors)
     table.finish()
     return made

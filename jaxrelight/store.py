@@ -39,16 +39,16 @@ def key_of(*parts) -> str:
 
     def add(part):
         if isinstance(part, np.ndarray):
-            add([str(part.dtype), list(part.shape)])
+            add(["array", str(part.dtype), list(part.shape)])
             digest.update(np.ascontiguousarray(part).data)
         elif isinstance(part, Mapping):
-            add([item for key in sorted(part) for item in (key, part[key])])
+            add(["table", *(item for key in sorted(part) for item in (key, part[key]))])
         elif isinstance(part, (list, tuple)):
-            digest.update(f"[{len(part)}".encode())
+            digest.update(f"[{len(part)};".encode())
             for item in part:
                 add(item)
         else:
-            digest.update(json.dumps(part).encode())
+            digest.update(json.dumps(part).encode() + b";")
 
     add(parts)
     return digest.hexdigest()[:16]
@@ -59,10 +59,18 @@ class Layer:
 
     def __init__(self, folder: pathlib.Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]], groups: int):
         """Opens the layer, or makes it. `arrays` gives the shape of one group's part, and the type, by name."""
+        self.folder, self.groups = folder, groups
+        try:
+            self._open(arrays)
+        except (ValueError, KeyError, TypeError, IndexError, FileNotFoundError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(f"{folder}: damaged ({reason}); delete this folder and run again") from None
+
+    def _open(self, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]):
         import zarr
         from zarr.codecs import Crc32cCodec, ZstdCodec
 
-        self.folder, self.groups = folder, groups
+        folder, groups = self.folder, self.groups
         self._journal = folder / "done"
         self._lock = threading.Lock()
         for partial in folder.rglob("*.partial"):
@@ -81,15 +89,32 @@ class Layer:
                 )
             layout = {name: [list(shape), str(np.dtype(dtype))] for name, (shape, dtype) in arrays.items()}
             write_text(folder / "layout.json", json.dumps({"groups": groups, "arrays": layout}, indent=1))
-        root = zarr.open_group(folder, mode="r+")
-        self._arrays: dict[str, Any] = {name: root[name] for name in arrays}
+        # Chunks of nothing but zeros are written too, so that a missing one is a lost one.
+        root: Any = zarr.open_group(folder, mode="r+")
+        self._arrays = {name: root[name].with_config({"write_empty_chunks": True}) for name in arrays}
+        for name, (shape, dtype) in arrays.items():
+            found = self._arrays[name]
+            if (found.shape, found.chunks, found.dtype) != ((groups, *shape), (1, *shape), np.dtype(dtype)):
+                raise ValueError(f"'{name}' has another shape or type than it was made with")
         self.done = self._read_journal()
+        lost = [group for group in self.done if not self._has_chunks(group)]
+        if lost:
+            raise InputError(f"{folder}: {len(lost):,} groups are lost; delete this folder and run again")
+
+    def _has_chunks(self, group: int) -> bool:
+        return all(
+            (self.folder / name / "c" / "/".join([str(group), *["0"] * (array.ndim - 1)])).exists()
+            for name, array in self._arrays.items()
+        )
 
     def _read_journal(self) -> set[int]:
         if not self._journal.exists():
             return set()
-        # A line that a killed run left unfinished has no end.
-        lines = self._journal.read_text().split("\n")[:-1]
+        text = self._journal.read_text()
+        # A line that a killed run left unfinished has no end, and must not be gone on with.
+        lines = text.split("\n")[:-1]
+        if not text.endswith("\n") and text:
+            write_text(self._journal, "".join(f"{line}\n" for line in lines))
         if lines == ["all"]:
             return set(range(self.groups))
         return {int(line) for line in lines if line.isdigit() and int(line) < self.groups}

@@ -412,3 +412,44 @@ def test_second_lobe_is_named(folder):
     lines = f'type = "lafortune"\ndiffuse = 0.1\nlobes = [{{{good}}}, {{{bad}}}]'
     message = _refusal(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines))
     assert "[paper]: [[lobes]] number 2: 'exponent' must be finite" in message
+
+
+def _fault(tmp_path, text: str) -> str:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_scene(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+_CAMERA = "[camera]\norigin = [0, 1, 2]\ntarget = [0, 0, 0]\n"
+_PAPER = '[material.paper]\ntype = "lambert"\nalbedo = 0.5\n'
+
+
+def test_a_misspelt_required_key_is_found_wherever_it_stands(tmp_path):
+    assert "'orign'" in _fault(tmp_path, "[camera]\ntarget = [0, 0, 0]\nup = [0, 1, 0]\norign = [0, 1, 2]\n")
+    part = '[[mesh]]\nprimitive = "box"\nmaterail = "paper"\n'
+    assert "materail" in _fault(tmp_path, _CAMERA + _PAPER + part)
+    assert "'material' is missing" in _fault(tmp_path, _CAMERA + part)
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        'primitive = "sphere"\nradius = -1\n',
+        'primitive = "plane"\nsize = [-1, 1]\n',
+        'primitive = "box"\nnormalize = -1\n',
+        'primitive = "box"\ntransform = [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 1]]\n',
+        'file = "nowhere.ply"\n',
+    ],
+)
+def test_faults_of_a_part_name_the_scene_and_the_part(tmp_path, part):
+    assert "[[mesh]] number 1" in _fault(tmp_path, _CAMERA + _PAPER + f'[[mesh]]\nmaterial = "paper"\n{part}')
+
+
+@pytest.mark.parametrize("albedo", ["1e300", "[0.5, true, 0.5]", '["0.5", "0.5", "0.5"]'])
+def test_what_is_no_number_for_float32_is_refused(tmp_path, albedo):
+    assert "albedo" in _fault(tmp_path, _CAMERA + f'[material.paper]\ntype = "lambert"\nalbedo = {albedo}\n')

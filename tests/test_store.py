@@ -324,3 +324,51 @@ def test_layer_can_be_moved(tmp_path):
     _layer(tmp_path / "a", range(GROUPS)).finish()
     shutil.move(tmp_path / "a", tmp_path / "b")
     np.testing.assert_array_equal(store.open_layer(tmp_path / "b").read("values", 3), _part(3)["values"])
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ((1, 23), (12, 3)),
+        (([0.3, 10.5],), ([0.31, 0.5],)),
+        ((np.zeros((1, 11)),), (np.zeros((11, 1)),)),
+        (({"a": 1},), (["a", 1],)),
+    ],
+)
+def test_keys_do_not_run_into_each_other(one, other):
+    assert store.key_of(*one) != store.key_of(*other)
+
+
+def _filled(folder, groups=3):
+    layer = store.Layer(folder, {"x": ((2,), np.dtype(np.float32))}, groups)
+    for group in range(groups):
+        layer.write(group, x=np.full(2, group, np.float32))
+    return layer
+
+
+def test_a_line_cut_short_is_not_gone_on_with(tmp_path):
+    layer = store.Layer(tmp_path / "x", {"x": ((2,), np.dtype(np.float32))}, 20)
+    layer.write(0, x=np.ones(2, np.float32))
+    with (tmp_path / "x" / "done").open("a") as journal:
+        journal.write("1")
+    layer = store.open_layer(tmp_path / "x")
+    layer.write(5, x=np.ones(2, np.float32))
+    assert store.open_layer(tmp_path / "x").done == {0, 5}
+
+
+@pytest.mark.parametrize("group", [0, 2])
+def test_a_chunk_that_is_gone_is_noticed(tmp_path, group):
+    # The first group holds nothing but zeros, which are written all the same.
+    _filled(tmp_path / "x").finish()
+    (tmp_path / "x" / "x" / "c" / str(group) / "0").unlink()
+    with pytest.raises(InputError, match="1 groups are lost"):
+        store.open_layer(tmp_path / "x")
+
+
+@pytest.mark.parametrize("text", ["", "{", "{}", '{"shape": [1]}'])
+def test_damaged_array_metadata_is_one_line(tmp_path, text):
+    _filled(tmp_path / "x").finish()
+    (tmp_path / "x" / "x" / "zarr.json").write_text(text)
+    with pytest.raises(InputError, match="delete this folder") as caught:
+        store.Layer(tmp_path / "x", {"x": ((2,), np.dtype(np.float32))}, 3)
+    assert "\n" not in str(caught.value)

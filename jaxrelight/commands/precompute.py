@@ -46,8 +46,7 @@ class Precompute:
 
 def describe(summary: "Summary") -> dict:
     """A precomputation as a summary that can be printed."""
-    import importlib.metadata
-
+    from jaxrelight.commands.progress import versions
     from jaxrelight.transport.load import load
 
     transport = load(summary.folder)
@@ -60,5 +59,5 @@ def describe(summary: "Summary") -> dict:
         "operator_bytes": transport.operator.nbytes,
         "kept_energy": transport.kept,
         "settings": dataclasses.asdict(transport.settings),
-        "versions": {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")},
+        "versions": versions(),
     }

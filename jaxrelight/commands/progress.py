@@ -42,6 +42,13 @@ def summarize(summary: dict, as_json: bool) -> None:
         print(f"{name.replace('_', ' '):>16}  {_short(value)}")
 
 
+def versions() -> dict[str, str]:
+    """Of this package and of those that its numbers depend on."""
+    import importlib.metadata
+
+    return {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")}
+
+
 def _short(value) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"

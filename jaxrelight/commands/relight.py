@@ -37,7 +37,7 @@ def relight(
     """Opens a store, lights it, writes the picture and says what it took."""
     import jax
 
-    from jaxrelight.commands.progress import notes
+    from jaxrelight.commands.progress import notes, versions
     from jaxrelight.images import check_writable, write_image
     from jaxrelight.lighting.transport import Relighter
     from jaxrelight.transport.load import stored_environment
@@ -74,4 +74,5 @@ def relight(
         "operator_bytes": relighter.transport.operator.nbytes,
         "kept_energy": relighter.transport.kept,
         "settings": dataclasses.asdict(relighter.transport.settings),
+        "versions": versions(),
     }

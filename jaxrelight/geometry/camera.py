@@ -34,6 +34,9 @@ class Camera:
         finite = np.isfinite(self.fov_y) and all(np.isfinite(vector).all() for vector in vectors)
         if not finite or any(vector.shape != (3,) for vector in vectors):
             raise InputError("the camera's origin, target and up need three finite numbers each, fov_y one")
+        # Equal cameras are equal, whatever sequences they were made from.
+        for name, vector in zip(("origin", "target", "up"), vectors, strict=True):
+            object.__setattr__(self, name, tuple(vector.tolist()))
         if not 0 < self.fov_y < 180:
             raise InputError(f"the camera's fov_y is {self.fov_y}; it must lie between 0 and 180 degrees")
         if self.width < 1 or self.height < 1:

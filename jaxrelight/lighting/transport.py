@@ -34,7 +34,7 @@ class Relighter:
         self.transport = transport
 
     @classmethod
-    def open(cls, folder: pathlib.Path) -> "Relighter":
+    def open(cls, folder: str | pathlib.Path) -> "Relighter":
         """A relighter from a store."""
         return cls(load(folder))
 

@@ -27,6 +27,10 @@ class Environment:
     scale: float = 1.0
     notes: tuple[str, ...] = ()
 
+    def __post_init__(self):
+        if not (np.isfinite(self.rotate_y) and np.isfinite(self.scale) and self.scale >= 0):
+            raise InputError("an environment's rotate_y must be finite, its scale finite and not negative")
+
 
 def environment(
     pixels: Float[np.ndarray, "h w c"],
@@ -52,8 +56,6 @@ def environment(
         pixels = np.asarray(pixels, np.float32)
     if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4) or pixels.shape[1] != 2 * pixels.shape[0]:
         raise InputError(f"{name} has shape {pixels.shape}; a lat-long map is h × 2h pixels of three channels")
-    if not (np.isfinite(rotate_y) and np.isfinite(scale) and scale >= 0):
-        raise InputError(f"{name}: rotate_y must be finite and scale finite and not negative")
     pixels, notes = pixels[..., :3], []
     bad = np.logical_not(np.isfinite(pixels).all(axis=-1))
     if bad.any():

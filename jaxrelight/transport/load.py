@@ -73,17 +73,33 @@ class Transport:
     groups: list[Int[np.ndarray, " g"]]
 
 
-def load(folder: pathlib.Path) -> Transport:
+def load(folder: str | pathlib.Path) -> Transport:
     """Opens a store.
 
     Raises:
         InputError: if it is not complete, damaged, or of another format.
     """
+    folder = pathlib.Path(folder)
     header = store.read_header(folder)
+    try:
+        return _load(folder, header)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(
+            f"{folder / 'store.json'}: damaged ({type(error).__name__}: {error}); "
+            "run precompute again, finished layers will be reused"
+        ) from None
+
+
+def _load(folder: pathlib.Path, header: dict) -> Transport:
     settings = Settings(**header["settings"])
     geometry = store.open_layer(folder / header["geometry"])
     surfaces = _read_geometry(geometry)
     visibility = store.open_layer(folder / header["visibility"])
+    for layer in (geometry, visibility):
+        if layer.missing:
+            raise InputError(
+                f"{layer.folder}: {len(layer.missing):,} groups are missing; run precompute to complete them"
+            )
     tracer, camera = Tracer(surfaces), Camera(**header["camera"])
     receivers = receivers_of(surfaces, tracer, np.array(header["material_of_mesh"]), camera, settings)
     if len(receivers.filled) != visibility.groups:

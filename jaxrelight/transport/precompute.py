@@ -57,7 +57,7 @@ class Summary:
 def precompute(
     scene: Scene,
     settings: Settings = Settings(),
-    folder: pathlib.Path | None = None,
+    folder: str | pathlib.Path | None = None,
     report: Report = lambda stage, done, total: None,
 ) -> Summary:
     """Makes, or completes, the store of a scene.
@@ -73,13 +73,16 @@ def precompute(
     """
     seconds: dict[str, float] = {}
     with _timed(seconds, "geometry"):
+        for part in scene.parts:
+            if part.material not in scene.materials:
+                raise InputError(f"{scene.name}: '{part.name}' is of a material '{part.material}' that is not given")
         surfaces = join([part.mesh for part in scene.parts])
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
         geometry_key = store.key_of(
             [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts], store.FORMAT
         )
-        folder = folder or store.default_folder(geometry_key)
+        folder = pathlib.Path(folder or store.default_folder(geometry_key))
         _make_folder(folder)
         geometry = _write_geometry(folder / f"geometry-{geometry_key}", surfaces)
         tracer = Tracer(surfaces)

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import hashlib
+import json
 import pathlib
 import shutil
 import signal
@@ -739,3 +740,36 @@ def test_a_material_may_have_its_own_number_of_terms(tmp_path):
     transport = jr.load(tmp_path)
     for name, reflection in zip(transport.names, transport.reflections, strict=True):
         assert reflection.terms == (scene.terms.get(name, 2) if name in glossy else 1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"camera": None},
+        {"materials": []},
+        {"settings": {"unknown": 1}},
+        {"materials": [{"name": "x", "brdf": {"kind": "unknown", "arrays": {}}, "factors": None}] * 2},
+    ],
+)
+def test_a_damaged_header_is_one_line(tmp_path, change):
+    settings = Settings("vertices", resolution=4, terms=1, coefficients=8, factor_resolution=8)
+    jr.precompute(_small_scene(), settings, tmp_path)
+    header = json.loads((tmp_path / "store.json").read_text())
+    (tmp_path / "store.json").write_text(json.dumps({**header, **change}))
+    with pytest.raises(jr.InputError, match="precompute") as caught:
+        jr.load(str(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_scenes_own_camera_is_the_stores(tmp_path):
+    scene = _small_scene()
+    settings = Settings("pixels", resolution=4, coefficients=8)
+    jr.precompute(scene, settings, str(tmp_path))
+    relighter = Relighter.open(str(tmp_path))
+    assert relighter.view(scene.camera).covered.any()
+
+
+def test_a_part_of_an_unknown_material_is_refused(tmp_path):
+    scene = dataclasses.replace(_small_scene(), materials={})
+    with pytest.raises(jr.InputError, match=r"paper|gloss"):
+        jr.precompute(scene, folder=tmp_path)
