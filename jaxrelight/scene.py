@@ -110,7 +110,8 @@ class _Table:
             return default[0]
         unread = [name for name in self._content if name not in self._asked]
         close = difflib.get_close_matches(key, unread, n=1)
-        raise InputError(f"{self.where}: '{key}' is missing" + (f"; is '{close[0]}' it, misspelt?" if close else ""))
+        fault = f"'{close[0]}' is not known; did you mean '{key}'?" if close else f"'{key}' is missing"
+        raise InputError(f"{self.where}: {fault}")
 
     def table(self, key: str) -> "_Table":
         return _Table(self.get(key), f"{self.where}: [{key}]")

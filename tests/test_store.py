@@ -233,7 +233,9 @@ def test_damaged_description_is_refused(tmp_path, victim: str, left: str):
         path.unlink()
     else:
         path.write_bytes({"nothing": b"", "half": content[: len(content) // 2], "no text": b"\xff\xfe\x00"}[left])
-    assert "missing or damaged; run precompute again" in _refused(store.open_layer, tmp_path / "a")
+    message = _refused(store.open_layer, tmp_path / "a")
+    assert "damaged" in message
+    assert "run" in message
 
 
 def test_layer_that_is_not_there_is_refused(tmp_path):

@@ -23,9 +23,12 @@ class Tracer:
         self._query(np.zeros((1, 3)), np.ones((1, 3)), "OCCLUDED")
 
     def occluded(
-        self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]
+        self, origins: Float[np.ndarray, "*r 3"], directions: Float[np.ndarray, "r 3"]
     ) -> Bool[np.ndarray, " r"]:
-        """Whether anything is hit along each ray, at any distance. Lift origins by `OFFSET` first."""
+        """Whether anything is hit along each ray, at any distance. Lift origins by `OFFSET` first.
+
+        One origin may stand for all rays; it is not copied for each.
+        """
         return self._query(origins, directions, "OCCLUDED") == 0
 
     def first_hits(
@@ -40,6 +43,8 @@ class Tracer:
     def _query(self, origins, directions, query, **options):
         origins = np.ascontiguousarray(origins, np.float32)
         directions = np.ascontiguousarray(directions, np.float32)
+        if origins.shape == (3,) and directions.ndim == 2:
+            origins = np.lib.stride_tricks.as_strided(origins, directions.shape, (0, origins.strides[0]))
         # Embree reads past a shorter array and calls rays that are not finite "not hit".
         if origins.shape != directions.shape or origins.shape[1:] != (3,):
             raise ValueError(f"rays need equal shapes [r, 3], not {origins.shape} and {directions.shape}")

@@ -29,7 +29,7 @@ class Environment:
 
     def __post_init__(self):
         if not (np.isfinite(self.rotate_y) and np.isfinite(self.scale) and self.scale >= 0):
-            raise InputError("an environment's rotate_y must be finite, its scale finite and not negative")
+            raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
 
 
 def environment(

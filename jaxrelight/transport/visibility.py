@@ -22,15 +22,13 @@ def trace_visibility(
     by_axis = np.ascontiguousarray(directions.T)
     origins = np.asarray(positions + OFFSET * face_normals, np.float32)
     bits = np.zeros((len(origins), len(directions) // 8), np.uint8)
-    visible, starts = np.zeros(len(directions), bool), np.empty_like(directions)
-    rays_traced = 0
+    visible, rays_traced = np.zeros(len(directions), bool), 0
     # One receiver at a time: its rays stay in cache, and start where the last ones did.
     for receiver, (origin, normal) in enumerate(zip(origins, np.asarray(normals, np.float32), strict=True)):
         above = np.flatnonzero(normal @ by_axis > 0)
         rays = np.take(directions, above, axis=0, mode="clip")
         rays_traced += len(rays)
         visible[:] = False
-        starts[: len(rays)] = origin
-        visible[above] = ~tracer.occluded(starts[: len(rays)], rays)
+        visible[above] = ~tracer.occluded(origin, rays)
         bits[receiver] = np.packbits(visible, bitorder="little")
     return bits, rays_traced
