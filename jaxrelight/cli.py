@@ -1,5 +1,6 @@
 """The command line: parsing only."""
 
+import os
 import sys
 
 import tyro
@@ -25,6 +26,9 @@ def main() -> None:
     except InputError as error:
         print(f"jaxrelight: {error}", file=sys.stderr)
         sys.exit(1)
+    except BrokenPipeError:
+        # Whoever read the summary has gone, as `head` does; what is left of it goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("jaxrelight: stopped; what is done is kept", file=sys.stderr)
         sys.exit(130)

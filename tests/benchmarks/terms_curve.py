@@ -10,7 +10,7 @@ import numpy as np
 from tests.benchmarks.measuring import Report, percent, shared
 
 SCENE, MATERIAL = "bunny_phong", "object"
-TERMS = 1, 2, 4, 8, 16, 32, 64, 96, 128
+TERMS = 1, 2, 4, 8, 16, 32, 64, 96
 # Receivers baked at a time; more change nothing but the memory taken.
 GROUP = 128
 
