@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import dataclasses
+import functools
 import pathlib
 import tempfile
 
@@ -45,7 +46,7 @@ def main():
         write = not (arguments.quick or arguments.only)
         report = stack.enter_context(Report("reference_images", "Reference images", parameters, write))
         parts = {
-            "streamed": lambda *common: streamed(*common, arguments.converged),
+            "streamed": functools.partial(streamed, converged=arguments.converged),
             "dial": dial,
             "vertices": vertices,
         }
