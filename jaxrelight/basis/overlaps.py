@@ -1,8 +1,8 @@
 """Solid angles that cube-map texels share with lat-long pixels.
 
 Along a meridian every border of a texel or pixel is crossed at a known latitude, and the side faces' columns end at
-meridians. So the integral over latitude is exact, and Gauss's rule between neighbouring meridians does the rest; what it
-leaves is balanced until each texel and each pixel has its own solid angle.
+meridians. So the integral over latitude is exact, and Gauss's rule between neighbouring meridians does the rest. What
+that leaves is balanced until each texel and each pixel has its own solid angle.
 
 Sixteen symmetries take the sphere's piece 0 ≤ x ≤ z, y ≥ 0 to all others, and texels to texels and pixels to pixels
 where the columns are a multiple of eight. So one piece is computed, with columns split where they must be.

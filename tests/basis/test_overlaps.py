@@ -44,7 +44,7 @@ def test_any_sizes_keep_both_sums(height, width, resolution):
 
 @pytest.mark.parametrize(("height", "width", "resolution"), [(3, 5, 2), (7, 6, 3)])
 def test_shares_are_those_of_many_directions(height, width, resolution):
-    n = 600
+    n = 1500
     u, v = np.meshgrid((np.arange(2 * n) + 0.5) / (2 * n), (np.arange(n) + 0.5) / n)
     texel = cubemap.texel_of(latlong.directions(u, v), resolution)
     pixel = (v * height).astype(int) * width + (u * width).astype(int)
