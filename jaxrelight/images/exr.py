@@ -14,17 +14,21 @@ from pathlib import Path
 import numpy as np
 
 from jaxrelight.errors import InputError
+from jaxrelight.images.primaries import to_rec709
 
 _MAGIC = b"\x76\x2f\x31\x01"
+_CHANNELS = {"red": "R", "green": "G", "blue": "B", "alpha": "A", "luminance": "Y"}  # what R, G, B … are also called
 _QUIET = threading.Lock()
 
 
 def read_exr(path: Path, max_pixels: int) -> np.ndarray:
     """Read the colours of an EXR file: the first part that has some.
 
-    Channels may be half or float, and be called R, G, B (and A), the same behind a layer's name
-    (`ViewLayer.Combined.R`), or Y alone for a grey image. The result covers the display window: pixels outside the
-    data window are 0, data outside the display window is cropped.
+    Channels may be half or float, and be called R, G, B (and A) or Y alone for a grey image, in any case or spelled
+    out (`red`), behind a layer's name or not (`ViewLayer.Combined.R`). Of several layers the unnamed one is taken, else
+    the one called Combined, else the only one. Of several resolutions the full one is taken. Primaries other than
+    Rec.709's are converted. The result covers the display window: pixels outside the data window are 0, data outside
+    the display window is cropped.
 
     Args:
         path: A regular file.
@@ -34,7 +38,8 @@ def read_exr(path: Path, max_pixels: int) -> np.ndarray:
         float32 `[h, w, 3]`, or `[h, w, 4]` if there is alpha. NaN and infinity are passed on.
 
     Raises:
-        InputError: The file is not EXR, is damaged, too large, deep, or has no colours.
+        InputError: The file is not EXR, is damaged or incomplete, too large or deep, has no colours or several layers
+            of them, or has colours that are integers, subsampled, or luminance and chroma.
     """
     with path.open("rb") as file:
         if file.read(4) != _MAGIC:
@@ -53,7 +58,8 @@ def read_exr(path: Path, max_pixels: int) -> np.ndarray:
     for name, plane in zip(names, planes, strict=True):
         if plane.dtype.kind != "f" or plane.shape != (height, width):
             raise InputError(f"{path}: channel {name} holds integers or is subsampled; export full half or float RGB")
-    return _place(np.stack(planes, axis=-1).astype(np.float32), header["dataWindow"], header["displayWindow"])
+    pixels = np.stack(planes, axis=-1).astype(np.float32)
+    return _place(_in_rec709(path, pixels, header), header["dataWindow"], header["displayWindow"])
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:
@@ -139,24 +145,41 @@ def _choose_part(path: Path, names_by_part: Sequence[Sequence[str]]) -> tuple[in
 
 
 def _choose_channels(path: Path, names: Sequence[str]) -> list[str] | None:
-    layers: dict[str, set[str]] = {}
-    for name in names:
+    layers: dict[str, dict[str, str]] = {}
+    for name in sorted(names, reverse=True):  # so that R stands in for r where a layer has both
         layer, _, channel = name.rpartition(".")
-        layers.setdefault(layer, set()).add(channel)
+        layers.setdefault(layer, {})[_CHANNELS.get(channel.lower(), channel.upper())] = name
 
-    coloured = [layer for layer, has in layers.items() if {"R", "G", "B"} <= has]
+    coloured = [layer for layer, has in sorted(layers.items()) if {"R", "G", "B"} <= set(has)]
     # Y beside X and Z is a vector; beside RY and BY it is the luminance of a colour image
-    grey = [layer for layer, has in layers.items() if "Y" in has and not has & {"X", "Z", "RY", "BY"}]
+    grey = [layer for layer, has in sorted(layers.items()) if "Y" in has and not set(has) & {"X", "Z", "RY", "BY"}]
     candidates, wanted = (coloured, "RGB") if coloured else (grey, "YYY")
     if not candidates:
+        if any({"Y", "RY", "BY"} <= set(has) for has in layers.values()):
+            raise InputError(f"{path}: holds luminance and chroma (Y, RY, BY), which are not supported; export R, G, B")
         return None
     preferred = [layer for layer in candidates if layer == ""]
     preferred = preferred or [layer for layer in candidates if layer.rpartition(".")[2] == "Combined"] or candidates
     if len(preferred) > 1:
-        raise InputError(f"{path}: several layers have colours, {_listed(preferred)}; export one of them alone")
-    layer = preferred[0]
-    prefix = f"{layer}." if layer else ""
-    return [prefix + channel for channel in wanted + ("A" if "A" in layers[layer] else "")]
+        raise InputError(
+            f"{path}: several layers have colours, {_listed(preferred)}, and none is unnamed or called 'Combined'; "
+            "export one of them alone"
+        )
+    has = layers[preferred[0]]
+    return [has[channel] for channel in wanted + ("A" if "A" in has else "")]
+
+
+def _in_rec709(path: Path, pixels: np.ndarray, header: dict) -> np.ndarray:
+    if "chromaticities" not in header:
+        return pixels
+    try:
+        matrix = to_rec709(header["chromaticities"])
+    except ValueError as fault:
+        raise InputError(f"{path}: its chromaticities are not usable, {fault}; export it as Rec.709") from None
+    if matrix is not None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            pixels[..., :3] = pixels[..., :3] @ matrix.T.astype(np.float32)
+    return pixels
 
 
 def _place(pixels: np.ndarray, data_window, display_window) -> np.ndarray:
