@@ -8,6 +8,7 @@ The public names, each loaded when it is first used:
     transport   Settings, precompute, load, exact, rebake
     lighting    Relighter
     images      read_image, write_image, tone_map, image_error
+    speed       keep_compilations
     errors      InputError
 """
 
@@ -26,6 +27,7 @@ _HOMES = {
     "transport.load": ("load", "exact", "rebake"),
     "lighting.transport": ("Relighter",),
     "images": ("read_image", "write_image", "tone_map", "image_error"),
+    "compilation_cache": ("keep_compilations",),
     "errors": ("InputError",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
