@@ -4,7 +4,9 @@
       store.json               format, scene, settings, and which layers belong together
       geometry-KEY/            vertices, normals and faces
       visibility-KEY/          one bit for each direction of each receiver
-      transport-KEY/           factors, kept coefficients, energies
+      factors-KEY/             of a BRDF
+      texture-KEY/             pixels
+      transport-KEY/           kept coefficients, energies
 
 A layer is a zarr group with one chunk for each group of receivers, checked by CRC32C. Zarr writes a chunk under another
 name and renames it, but reads a missing one as zeros; so a chunk counts only once its number stands in the layer's
@@ -23,7 +25,7 @@ import numpy as np
 
 from jaxrelight.errors import InputError
 
-FORMAT = 1
+FORMAT = 2
 
 
 def default_folder(key: str) -> pathlib.Path:
@@ -169,6 +171,12 @@ def open_layer(folder: pathlib.Path) -> Layer:
         return Layer(folder, arrays, layout["groups"])
     except (OSError, ValueError, KeyError, TypeError):
         raise InputError(f"{folder}: this layer is missing or damaged; run precompute again") from None
+
+
+def layers_of(material: Mapping) -> list[str]:
+    """The names of the layers that a material's record in the header refers to."""
+    named = [material.get("factors"), material.get("transport"), material.get("normal_map"), *material["weight"]]
+    return [name for name in named if isinstance(name, str)]
 
 
 def write_text(path: pathlib.Path, text: str):

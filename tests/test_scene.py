@@ -306,11 +306,6 @@ def test_scene_without_camera(folder):
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("albedo = 0.5", 'albedo = "wood.png"', "'albedo' as an image is not supported yet"),
-        ("albedo = 0.5", 'albedo = 0.5\nnormal_map = "bumps.png"', "'normal_map' is not supported yet"),
-        ("resolution = 2", "two_sided = true", "two-sided meshes are not supported yet"),
-        ("resolution = 2", 'tangents = "uv"', "UV tangents are not supported yet"),
-        ("resolution = 2", 'materials = {top = "paper"}', "materials by part are not supported yet"),
         ('type = "lambert"', 'type = "measured"', "type 'measured' is not supported yet"),
         ('type = "lambert"', 'type = "fitted"', "type 'fitted' is not supported yet"),
         ('type = "lambert"', 'type = "sbrdf"', "type 'sbrdf' is not supported yet"),

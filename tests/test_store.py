@@ -277,10 +277,10 @@ def test_header_round_trip(tmp_path):
         (b"", "damaged; run precompute again"),
         (b'{"format": 1, "sce', "damaged; run precompute again"),
         (b"\xff\xfe\x00", "damaged; run precompute again"),
-        (b"[1]", "format None is not format 1"),
-        (b"{}", "format None is not format 1"),
-        (b'{"format": 0}', "format 0 is not format 1"),
-        (b'{"format": 2}', "format 2 is not format 1"),
+        (b"[1]", "format None is not format 2"),
+        (b"{}", "format None is not format 2"),
+        (b'{"format": 0}', "format 0 is not format 2"),
+        (b'{"format": 1}', "format 1 is not format 2"),
     ],
 )
 def test_bad_header_is_refused(tmp_path, content, message: str):

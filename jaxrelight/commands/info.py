@@ -2,8 +2,12 @@
 
 import dataclasses
 import pathlib
+from typing import TYPE_CHECKING
 
 import tyro
+
+if TYPE_CHECKING:
+    from jaxrelight.brdf.material import Material
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,15 +41,15 @@ def _store(path: pathlib.Path) -> dict:
     header, transport = store.read_header(path), load(path)
     layers = sorted(folder for folder in path.iterdir() if (folder / "layout.json").exists())
     used = {header["geometry"], header["visibility"]}
-    used |= {record[kind] for record in header["materials"] for kind in ("factors", "transport") if record.get(kind)}
+    used |= {name for record in header["materials"] for name in store.layers_of(record)}
     summary = {
         "store": str(path),
         "scene": header["scene"],
         "receivers": transport.receivers.count,
         "rows": transport.operator.shape[0],
         "materials": {
-            name: f"{reflection.terms} terms"
-            for name, reflection in zip(transport.names, transport.reflections, strict=True)
+            name: f"{sum(block.reflection.terms for block in transport.blocks if block.material == name)} terms"
+            for name in dict.fromkeys(transport.names)
         },
         "settings": header["settings"],
         "operator_bytes": transport.operator.nbytes,
@@ -54,14 +58,16 @@ def _store(path: pathlib.Path) -> dict:
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
         "jaxrelight": header["jaxrelight"],
     }
-    if transport.dropped:
+    dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
+    if dropped:
         # Under light of root-mean-square radiance 1 over the texels, no row is further off than this.
-        worst = max(float(np.sqrt(part.max())) for part in transport.dropped)
+        worst = max(float(np.sqrt(part.max())) for part in dropped)
         summary["largest_error_for_unit_light"] = worst * (6 * transport.settings.resolution**2) ** 0.5
     return summary
 
 
 def _scene(path: pathlib.Path) -> dict:
+    from jaxrelight.brdf.material import as_material
     from jaxrelight.commands.progress import notes
     from jaxrelight.scene import load_scene
 
@@ -75,10 +81,16 @@ def _scene(path: pathlib.Path) -> dict:
             for i, part in enumerate(scene.parts)
         },
         "vertices": sum(len(part.mesh.vertices) for part in scene.parts),
-        "materials": {name: "diffuse" if brdf.is_constant else "glossy" for name, brdf in scene.materials.items()},
+        "materials": {name: _kind(as_material(surface)) for name, surface in scene.materials.items()},
         "camera": f"{scene.camera.width} × {scene.camera.height} pixels, {scene.camera.fov_y}° high",
         "environment": "none" if environment is None else f"{environment.pixels.shape[1]} × {len(environment.pixels)}",
     }
+
+
+def _kind(material: "Material") -> str:
+    """A material in a word or two."""
+    kind = "diffuse" if all(component.brdf.is_constant for component in material.components) else "glossy"
+    return f"{kind}, textured" if material.needs_uv else kind
 
 
 def _image(path: pathlib.Path) -> dict:

@@ -10,13 +10,14 @@ from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.reflection import FixedView, Reflection
+from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.transport.load import Transport, load
 
-# Light terms [receivers, k, c] of every material.
+# Light terms [receivers, k, c] of every block of the operator.
 LightTerms = tuple[Float[Array, "v k c"], ...]
 
 
@@ -75,13 +76,21 @@ class Relighter:
             )
         return make_view(self.transport, camera)
 
-    def shade(self, terms: LightTerms, view: View) -> Float[Array, "h w c"]:
+    def shade(self, terms: LightTerms, view: View, weights: tuple[Weight, ...] | None = None) -> Float[Array, "h w c"]:
         """Radiance of every pixel, 0 where no surface is seen: what a change of view costs, beside `view` itself.
 
-        Terms are interpolated to the pixel, then closed by the view side of its own direction to the eye:
-        Σ_k view_side_k · (T x)_k. Differentiable in the terms.
+        Terms are interpolated to the pixel, then closed by the view side of its own direction to the eye and by the
+        weights at its texture coordinates: Σ_b w_b Σ_k view_side_bk · (T_b x)_k. Differentiable in terms and weights.
+
+        Args:
+            terms: from `light`.
+            view: from `view`.
+            weights: of the transport's blocks; by default those that they have.
         """
-        return shade(tuple(_view_sides(r) for r in self.transport.reflections), terms, view.materials, view.shape)
+        blocks = self.transport.blocks
+        reflections = tuple(_view_sides(block.reflection) for block in blocks)
+        weights = tuple(block.weight for block in blocks) if weights is None else weights
+        return shade(reflections, weights, terms, view.materials, view.shape)
 
     def background(self, environment: Environment, view: View) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
@@ -120,18 +129,23 @@ def _view_sides(reflection: Reflection) -> Reflection:
 
 @functools.partial(jax.jit, static_argnames="shape")
 def shade(
-    reflections: tuple[Reflection, ...], terms: LightTerms, materials: tuple[MaterialPixels, ...], shape
+    reflections: tuple[Reflection, ...],
+    weights: tuple[Weight, ...],
+    terms: LightTerms,
+    materials: tuple[MaterialPixels, ...],
+    shape: tuple[int, int],
 ) -> Float[Array, "h w c"]:
-    """Radiance of the pixels of all materials; see `Relighter.shade`."""
+    """Radiance of the pixels of all blocks; see `Relighter.shade`."""
     height, width = shape
     channels = terms[0].shape[-1]
     image = jnp.zeros((height * width, channels), terms[0].dtype)
-    for reflection, material, pixels in zip(reflections, terms, materials, strict=True):
-        corners = material.at[pixels.receivers].get(mode="promise_in_bounds")
+    for reflection, weight, block, pixels in zip(reflections, weights, terms, materials, strict=True):
+        corners = block.at[pixels.receivers].get(mode="promise_in_bounds")
         # pixels p, corners b, terms k, channels c
         light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
         view = jax.vmap(reflection.view_side)(pixels.omega_o)
         # One-sided: nothing is seen from below the shading normal.
         radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
-        image = image.at[pixels.pixel].set(radiance, mode="drop", unique_indices=False)
+        radiance = radiance * jax.vmap(look_up, in_axes=(None, 0))(weight, pixels.uv)
+        image = image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)
     return image.reshape(height, width, channels)

@@ -14,6 +14,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factors import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
+from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame
@@ -30,6 +31,27 @@ from jaxrelight.transport.settings import Settings
 
 
 @dataclasses.dataclass(frozen=True)
+class Block:
+    """The operator's rows of one BRDF of one material.
+
+    Attributes:
+        material: its name.
+        brdf: one of those that the material combines.
+        weight: the factor on it over the surface.
+        reflection: of the BRDF; arrays that each receiver has for itself lead with groups and receivers.
+        groups: of the material's receivers.
+        dropped: energy left out of every row by channel; None where nothing is.
+    """
+
+    material: str
+    brdf: Brdf
+    weight: Weight
+    reflection: Reflection
+    groups: Int[np.ndarray, " g"]
+    dropped: Float[np.ndarray, "r c"] | None
+
+
+@dataclasses.dataclass(frozen=True)
 class Transport:
     """What a store holds, ready to light and to view with.
 
@@ -38,13 +60,10 @@ class Transport:
         surfaces: the geometry, for views.
         tracer: rays against it.
         receivers: the points of the operator's rows.
-        names: of the materials that have receivers.
-        brdfs: theirs.
-        reflections: theirs; arrays that each receiver has for itself lead with groups and receivers.
-        operator: from light to light terms; its rows are ordered by material, group, receiver and term.
+        blocks: what the operator's rows belong to, in their order: a block for each BRDF of each material seen.
+        operator: from light to light terms; its rows are ordered by block, group, receiver and term.
         basis: of the operator's light.
         kept: share of transport energy that the operator keeps.
-        dropped: energy left out of every row by channel, per material; None where nothing is.
         camera: the scene's.
         lit: whether the scene has an environment.
         rotate_y: of that environment.
@@ -57,20 +76,26 @@ class Transport:
     surfaces: Surfaces
     tracer: Tracer
     receivers: Receivers
-    names: list[str]
-    brdfs: list[Brdf]
-    reflections: list[Reflection]
+    blocks: tuple[Block, ...]
     operator: Stacked
     basis: bake.Basis
     kept: float
-    dropped: list[np.ndarray] | None
     camera: Camera
     lit: bool
     rotate_y: float
     scale: float
     folder: pathlib.Path
     visibility: store.Layer
-    groups: list[Int[np.ndarray, " g"]]
+
+    @property
+    def names(self) -> list[str]:
+        """The material of each block."""
+        return [block.material for block in self.blocks]
+
+    @property
+    def reflections(self) -> list[Reflection]:
+        """The reflection of each block."""
+        return [block.reflection for block in self.blocks]
 
 
 def load(folder: str | pathlib.Path) -> Transport:
@@ -106,15 +131,17 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     frames = frames_of(receivers)
-    numbers = sorted(set(receivers.material_of_group.tolist()))
-    brdfs, reflections, operators, dropped, all_groups, total = [], [], [], [], [], 0.0
-    for number, record in zip(numbers, header["materials"], strict=True):
-        brdf, groups = from_record(record["brdf"]), receivers.groups_of(number)
+    if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
+        raise ValueError("materials and meshes do not belong together")
+    blocks, operators, total = [], [], 0.0
+    for record in header["materials"]:
+        brdf, groups = from_record(record["brdf"]), receivers.groups_of(record["number"])
         reflection = (
             read_factors(store.open_layer(folder / record["factors"]))
             if record["factors"]
             else fixed_view(brdf, receivers, groups)
         )
+        dropped = None
         if settings.coefficients == "all":
             operators.append(_streamed(visibility, groups, frames[groups], reflection, directions))
         else:
@@ -122,11 +149,11 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
             if layer.missing:
                 raise InputError(f"{folder}: {len(layer.missing)} groups are missing; run precompute to complete them")
             operators.append(_sparse_rows(layer, settings))
-            dropped.append(layer.read("dropped").reshape(-1, reflection.channels))
+            dropped = layer.read("dropped").reshape(-1, reflection.channels)
             total += float(layer.read("total").sum(dtype=float)) * 3 / reflection.channels
-        brdfs.append(brdf)
-        reflections.append(reflection)
-        all_groups.append(groups)
+        weight = tuple(read_texture(folder, entry) for entry in record["weight"])
+        blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped))
+    dropped = [block.dropped for block in blocks if block.dropped is not None]
     left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
     environment = header["environment"] or {"rotate_y": 0.0, "scale": 1.0}
     return Transport(
@@ -134,20 +161,16 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         surfaces=surfaces,
         tracer=tracer,
         receivers=receivers,
-        names=[record["name"] for record in header["materials"]],
-        brdfs=brdfs,
-        reflections=reflections,
+        blocks=tuple(blocks),
         operator=Stacked(tuple(operators)),
         basis=cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution),
         kept=1 - left / total if total else 1.0,
-        dropped=dropped or None,
         camera=camera,
         lit=header["environment"] is not None,
         rotate_y=environment["rotate_y"],
         scale=environment["scale"],
         folder=folder,
         visibility=visibility,
-        groups=all_groups,
     )
 
 
@@ -166,16 +189,16 @@ def exact(transport: Transport) -> Transport:
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     frames = frames_of(transport.receivers)
     operators = [
-        _streamed(transport.visibility, groups, frames[groups], reflection, directions)
-        for groups, reflection in zip(transport.groups, transport.reflections, strict=True)
+        _streamed(transport.visibility, block.groups, frames[block.groups], block.reflection, directions)
+        for block in transport.blocks
     ]
     return dataclasses.replace(
         transport,
         settings=dataclasses.replace(settings, coefficients="all"),
+        blocks=tuple(dataclasses.replace(block, dropped=None) for block in transport.blocks),
         operator=Stacked(tuple(operators)),
         basis=cubemap.Texels(settings.resolution),
         kept=1.0,
-        dropped=None,
     )
 
 
@@ -189,7 +212,7 @@ def _streamed(visibility, groups, frames, reflection, directions) -> Streamed:
 
 
 def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
-    """The same scene with other reflections, on the same visibility and the same kept coefficients; no ray is traced.
+    """The same scene with another reflection for each block, on the same visibility and kept coefficients; no ray.
 
     Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
     derivative is that of the truncated operator, not of the choice.
@@ -197,8 +220,10 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
     settings = transport.settings
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     frames = frames_of(transport.receivers)
-    operators = []
-    for old, groups, reflection in zip(transport.operator.operators, transport.groups, reflections, strict=True):
+    operators, blocks = [], []
+    for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):
+        groups = block.groups
+        blocks.append(dataclasses.replace(block, reflection=reflection))
         if isinstance(old, Streamed):
             operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
             continue
@@ -218,13 +243,14 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         ]
         joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
         operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns))
-    return dataclasses.replace(transport, reflections=reflections, operator=Stacked(tuple(operators)))
+    return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
 
 
 def _read_geometry(layer: store.Layer) -> Surfaces:
     placement = layer.read("placement", 0)
     return Surfaces(
-        *(layer.read(name, 0) for name in ("vertices", "normals", "faces", "mesh_of_vertex")),
+        *(layer.read(name, 0) for name in ("vertices", "normals", "faces", "uv", "mesh_of_vertex")),
+        *(layer.read(name, 0) for name in ("two_sided", "uv_tangents")),
         centre=placement[:3],
         radius=float(placement[3]),
     )
@@ -241,12 +267,12 @@ def receivers_of(
 
 def frames_of(receivers: Receivers) -> Float[Array, "g m 3 3"]:
     """The tangent frames of the receivers' shading normals."""
-    return tangent_frame(jnp.asarray(receivers.normals, jnp.float32))
+    return tangent_frame(*(jnp.asarray(v, jnp.float32) for v in (receivers.normals, receivers.tangents)))
 
 
 def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
     """The exact reflection of some groups of pixel receivers."""
-    frames = tangent_frame(jnp.asarray(receivers.normals[groups], jnp.float32))
+    frames = frames_of(receivers)[groups]
     assert receivers.omega_o is not None
     omega_o = jnp.asarray(receivers.omega_o[groups], jnp.float32)
     return FixedView(brdf, jnp.einsum("gmxy,gmy->gmx", frames, omega_o))
@@ -255,6 +281,13 @@ def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) 
 def read_factors(layer: store.Layer) -> Factored:
     """Factors from their layer."""
     return Factored(jnp.asarray(layer.read("light_maps", 0)), jnp.asarray(layer.read("view_maps", 0)))
+
+
+def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
+    """A texture from its layer, or a constant one from its values."""
+    if isinstance(entry, str):
+        return Texture(jnp.asarray(store.open_layer(folder / entry).read("pixels", 0)))
+    return constant(entry)
 
 
 def _sparse_rows(layer: store.Layer, settings: Settings) -> SparseRows:
