@@ -38,6 +38,7 @@ PUBLIC = {
     "Relighter",
     "Scene",
     "Settings",
+    "ashikhmin_shirley",
     "box",
     "environment",
     "exact",
