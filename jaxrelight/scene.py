@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxrelight.brdf import lobes
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Material, as_material, textured_lambert, textured_phong
 from jaxrelight.brdf.texture import Texture, constant
@@ -372,10 +373,12 @@ def _material(table: _Table, folder: pathlib.Path) -> Brdf | Material:
         elif kind == "lafortune":
             made = [_lafortune_lobe(lobe) for lobe in table.tables("lobes")]
             brdf = lobes.lobe_sum(_not_negative(table, "diffuse"), made)
-        elif kind in ("ashikhmin_shirley", "measured", "fitted", "sbrdf"):
-            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong or lafortune")
+        elif kind == "ashikhmin_shirley":
+            brdf = ashikhmin_shirley(table.channels("kd"), table.channels("ks"), table.number("nu"), table.number("nv"))
+        elif kind in ("measured", "fitted", "sbrdf"):
+            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong, lafortune or ashikhmin_shirley")
         else:
-            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune")
+            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune, ashikhmin_shirley")
     except InputError as error:
         raise _within(table, error) from None
     bumps = _normal_map(table, folder)

@@ -39,6 +39,7 @@ PUBLIC = {
     "Relighter",
     "Scene",
     "Settings",
+    "ashikhmin_shirley",
     "box",
     "environment",
     "exact",
