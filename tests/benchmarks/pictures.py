@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 
-def contact_sheet(path: pathlib.Path, pictures: Mapping[str, Float[np.ndarray, "h w c"]], columns: int, exposure: float):
+def contact_sheet(
+    path: pathlib.Path, pictures: Mapping[str, Float[np.ndarray, "h w c"]], columns: int, exposure: float
+):
     """Writes linear pictures of one size as a PNG, tone-mapped alike, in rows of `columns`, each over its name."""
     from PIL import Image, ImageDraw, ImageFont
 
@@ -16,7 +18,9 @@ def contact_sheet(path: pathlib.Path, pictures: Mapping[str, Float[np.ndarray, "
     font, margin, caption = ImageFont.load_default(14), 6, 22
     height, width = next(iter(pictures.values())).shape[:2]
     rows = -(-len(pictures) // columns)
-    sheet = Image.new("RGB", (columns * (width + margin) + margin, rows * (height + caption + margin) + margin), "white")
+    sheet = Image.new(
+        "RGB", (columns * (width + margin) + margin, rows * (height + caption + margin) + margin), "white"
+    )
     draw = ImageDraw.Draw(sheet)
     for i, (name, picture) in enumerate(pictures.items()):
         x, y = margin + i % columns * (width + margin), margin + i // columns * (height + caption + margin)
