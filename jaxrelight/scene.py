@@ -216,9 +216,10 @@ def _camera(table: _Table) -> Camera:
 
 def _environment(table: _Table, folder: pathlib.Path, zero_nonfinite: bool) -> Environment:
     file, rotate_y, scale = table.text("file"), table.number("rotate_y", 0.0), table.number("scale", 1.0)
+    layout = table.text("layout", "auto")
     table.finish()
     try:
-        return load_environment(folder / file, rotate_y, scale, zero_nonfinite=zero_nonfinite)
+        return load_environment(folder / file, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite)
     except InputError as error:
         raise _within(table, error) from None
 

@@ -1,4 +1,4 @@
-"""Lat-long maps: directions, rotation, look-up, and resampling to a cube map by area.
+"""Lat-long maps: directions, rotation, look-up, and resampling by area: to other sizes, to a cube map and from one.
 
 The top row looks to +y, the image centre to +z and u = 0.25 to +x. A pixel is a constant cell: light is the integral
 of the map, so resampling weighs every pixel by the solid angle it shares with a texel.
@@ -49,6 +49,43 @@ def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Ar
     part = shift - whole
     whole = jnp.mod(whole, width).astype(jnp.int32)
     return (1 - part) * jnp.roll(pixels, -whole, axis=1) + part * jnp.roll(pixels, -whole - 1, axis=1)
+
+
+def resized(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "{height} {width} c"]:
+    """The map with another number of rows and columns: every new pixel is the mean over its solid angle."""
+    old_height, old_width, channels = pixels.shape
+    edges = [-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)]
+    by_row = _means(*edges).astype(pixels.dtype) @ pixels.reshape(old_height, -1)
+    by_column = by_row.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
+    edges = [np.linspace(0, 1, count + 1) for count in (width, old_width)]
+    found = _means(*edges).astype(pixels.dtype) @ by_column
+    return np.ascontiguousarray(found.reshape(width, height, channels).swapaxes(0, 1))
+
+
+def _means(new: Float[np.ndarray, " n"], old: Float[np.ndarray, " o"]) -> sparse.csr_array:
+    """The matrix from values on the old intervals to means over the new ones; both are given by their edges."""
+    edges = np.union1d(new, old)
+    middle, length = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    at = [np.clip(np.searchsorted(side, middle) - 1, 0, len(side) - 2) for side in (new, old)]
+    lengths = sparse.csr_array((length, (at[0], at[1])), shape=(len(new) - 1, len(old) - 1))
+    return sparse.csr_array(lengths / np.diff(new)[:, None])
+
+
+def from_cube(faces: Float[np.ndarray, "6 n n c"]) -> Float[np.ndarray, "h w c"]:
+    """The lat-long map of a cube map: every pixel is the mean, by solid angle, of the texels that it touches.
+
+    A texel's solid angle is given out whole, so one hot texel keeps its energy, and a constant map stays constant.
+    Pixels are as fine as texels where n is 256 or more, and four times as fine up to 64, so that little is spread.
+    """
+    resolution, channels = faces.shape[1], faces.shape[-1]
+    height = max(2 * resolution, min(8 * resolution, 512))
+    width = 2 * height
+    flat, sums = faces.reshape(-1, channels).astype(float), np.zeros((height * width, channels))
+    for texel, pixel, shared in overlaps(height, width, resolution):
+        for c in range(channels):
+            sums[:, c] += np.bincount(pixel, shared * flat[texel, c], height * width)
+    means = sums.reshape(height, width, channels) / solid_angles(height, width)[:, None, None]
+    return means.astype(faces.dtype)
 
 
 def look_up(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... c"]:
