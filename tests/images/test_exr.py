@@ -213,6 +213,39 @@ def test_primaries_are_converted(path):
         read_exr(_written(path, Part(exr_writer.planes(pixels, "RGBA"), attributes=attribute)), LIMIT)
 
 
+def _with_window(data: bytes, name: bytes, width: int, height: int) -> bytes:
+    at = data.index(name + b"\0box2i\0") + len(name) + 11
+    return data[:at] + struct.pack("<4i", 0, 0, width - 1, height - 1) + data[at + 16 :]
+
+
+@pytest.mark.parametrize("stored", [{}, {"tile": 8}])
+def test_a_window_with_too_few_rows_is_refused(path, stored):
+    whole = exr_writer.picture(Part(exr_writer.planes(_pixels(3), "RGB"), **stored))
+    for rows in (4, 8, 12):
+        path.write_bytes(_with_window(whole, b"dataWindow", 30, rows))
+        with pytest.raises(InputError, match="claims fewer pixels than the file holds"):
+            read_exr(path, LIMIT)
+
+
+@pytest.mark.parametrize("name", ["channels", "compression", "dataWindow", "displayWindow", "lineOrder"])
+def test_attributes_that_say_what_the_pixels_are_must_be_there(path, name):
+    """The library would take a display window of 64 × 64 pixels for a lost one."""
+    whole = exr_writer.picture(Part(exr_writer.planes(_pixels(3), "RGB")))
+    for old, new in ((name, name[:-1] + "_"), (name + "\0", name + "\0x")):
+        path.write_bytes(whole.replace(old.encode(), new.encode(), 1))
+        with pytest.raises(InputError, match=f"lacks '{name}'|damaged or cut-short"):
+            read_exr(path, LIMIT)
+
+
+def test_an_empty_border_must_not_be_most_of_the_picture(path):
+    whole = exr_writer.picture(Part(exr_writer.planes(_pixels(3), "RGB")))
+    path.write_bytes(_with_window(whole, b"displayWindow", 2000, 1000))
+    assert read_exr(path, LIMIT).shape == (1000, 2000, 3)
+    path.write_bytes(_with_window(whole, b"displayWindow", 10_000, 10_000))
+    with pytest.raises(InputError, match="display window has 100,000,000 pixels, but only 600 are stored"):
+        read_exr(path, LIMIT)
+
+
 COMPRESSIONS = {
     "NO": 0, "RLE": 0, "ZIPS": 0, "ZIP": 0, "PIZ": 0, "PXR24": 1e-4, "B44": 0.05, "B44A": 0.05, "DWAA": 0.02,
     "DWAB": 0.02, "HTJ2K32": 0, "HTJ2K256": 0, "ZSTD": 0,
