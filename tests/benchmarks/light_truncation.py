@@ -63,7 +63,7 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, steps: int, p
         curves = {"exact": truth}
         for share in SHARES:
             few = [largest(vector, share) for vector in vectors]
-            held = np.mean([np.sum(f**2) / np.sum(v**2) for f, v in zip(few, vectors, strict=True)])
+            held = float(np.mean([np.sum(f**2) / np.sum(v**2) for f, v in zip(few, vectors, strict=True)]))
             for which, matrix in (("all of a row", exact), ("128 of a row", kept)):
                 frames = np.stack([matrix @ vector for vector in few])
                 table.append([name, f"{share:.0%} of the light, {which}", percent(held), *_figures(frames, truth)])
@@ -111,7 +111,7 @@ def _figures(frames: np.ndarray, truth: np.ndarray) -> list[str]:
 
 def plot(path: pathlib.Path, name: str, curves):
     """Green radiance of the receiver whose flicker is the median, over the angle."""
-    import matplotlib.pyplot as plt
+    from matplotlib import pyplot as plt  # pyright: ignore[reportMissingImports]
 
     truth, worst = curves["exact"], curves[f"{SHARES[-1]:.0%}, all of a row"]
     flicker = np.diff(worst - truth, axis=0)[..., 1].std(axis=0)

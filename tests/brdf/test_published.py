@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight.brdf.lobes import lobe, lobe_sum
+from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
 from jaxrelight.scene import load_scene
 from tests.brdf.test_lobes import PAIRS, albedo, at, hemisphere
 from tests.shared_data import shared
@@ -38,7 +38,9 @@ def loaded(folder, material: dict):
         text += f"[[material.published.lobes]]\nC = {C}\nexponent = {one['n']}\nspecular = 1.0\n"
     path = folder / "scene.toml"
     path.write_text(text)
-    return load_scene(path).materials["published"]
+    brdf = load_scene(path).materials["published"]
+    assert isinstance(brdf, LobeSum)
+    return brdf
 
 
 def formula(material: dict, omega_i, omega_o) -> np.ndarray:
@@ -87,6 +89,7 @@ def test_the_tightest_published_lobe_is_stable(tmp_path):
         + "[[material.published.lobes]]\nC = [-0.577, -0.577, 0.577]\nexponent = 16600\npeak = 3.0\n"
     )
     brdf = load_scene(path).materials["published"]
+    assert isinstance(brdf, LobeSum)
     omega = hemisphere(50)
     np.testing.assert_allclose(at(brdf, omega, omega * [-1, -1, 1]), 3, rtol=5e-3)
     values = at(brdf, PAIRS[:, 0], PAIRS[:, 1])
