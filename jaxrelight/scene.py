@@ -18,6 +18,7 @@ from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry import primitives
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
+from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
 from jaxrelight.scene_materials import from_file, read_texture, weighted
 
@@ -286,13 +287,14 @@ def file_parts(
 
 
 def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
-    """All parts of a file normalized and transformed together, two-sided and with tangents as asked."""
+    """All parts of a file normalized and transformed together; subdivided, two-sided and with tangents as asked."""
     two_sided = table.truth("two_sided") if table.has("two_sided") else None
     tangents = table.text("tangents", "normal")
     if tangents not in ("normal", "uv"):
         raise InputError(f'\'tangents\' is "normal" or "uv", not {tangents!r}')
     size = table.number("normalize") if table.has("normalize") else None
     matrix = table.array("transform", (4, 4)) if table.has("transform") else None
+    max_edge = table.number("max_edge") if table.has("max_edge") else None
     frame = meshes.joint_bounds([part.mesh for part in parts])
     placed = []
     for part in parts:
@@ -301,6 +303,7 @@ def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.Mesh
             raise InputError(f"'tangents' = \"uv\" needs texture coordinates, which '{part.name}' does not have")
         mesh = mesh if size is None else meshes.normalized(mesh, size, frame)
         mesh = mesh if matrix is None else meshes.transformed(mesh, matrix)
+        mesh = mesh if max_edge is None else subdivided(mesh, max_edge)
         mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv")
         if two_sided is not None:
             mesh = dataclasses.replace(mesh, two_sided=two_sided)
