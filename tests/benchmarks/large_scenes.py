@@ -61,8 +61,8 @@ def main():
     shared("data", "mesh")
     resolution = 8 if arguments.quick else 32
     parameters = (
-        f"vertices as receivers, K = 4, N = 128, resolution {resolution}, under Venice; two-sided, faces split until no "
-        "edge is longer than is named; a fresh process for each"
+        f"vertices as receivers, K = 4, N = 128, resolution {resolution}, under Venice; two-sided, faces split until "
+        "no edge is longer than is named; a fresh process for each"
     )
     with contextlib.ExitStack() as stack:
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
