@@ -16,7 +16,7 @@ from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.streamed import Streamed
-from jaxrelight.transport.load import Transport, load
+from jaxrelight.transport.load import Transport, load, padded_receivers
 
 # Light terms [receivers, k, c] of every block of the operator.
 LightTerms = tuple[Float[Array, "v k c"], ...]
@@ -47,9 +47,12 @@ class Relighter:
         return _light_vector(jnp.asarray(pixels), rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
-        """Light terms of a light vector: one application of the operator."""
+        """Light terms of a light vector: one application of the operator.
+
+        Those of each block are followed by zeros, which nobody reads, up to one of few lengths.
+        """
         parts = zip(self.transport.operator.operators, self.transport.reflections, strict=True)
-        return tuple(_apply(operator, light).reshape(-1, r.terms, light.shape[1]) for operator, r in parts)
+        return tuple(_padded(_apply(operator, light).reshape(-1, r.terms, light.shape[1])) for operator, r in parts)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -115,6 +118,11 @@ def _apply(operator: Operator, light: Float[Array, "d c"]) -> Float[Array, "r c"
 @jax.jit
 def _compiled_apply(operator: Operator, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
     return operator.apply(light)
+
+
+def _padded(terms: Float[Array, "v k c"]) -> Float[Array, "p k c"]:
+    more = padded_receivers(len(terms)) - len(terms)
+    return jnp.pad(terms, ((0, more), (0, 0), (0, 0))) if more else terms
 
 
 @jax.jit

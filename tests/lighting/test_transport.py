@@ -93,7 +93,10 @@ def test_light_and_shade_make_the_picture(relighter: Relighter):
     environment, view = jr.environment(SKY, rotate_y=40, scale=2), relighter.view()
     terms = relighter.light(environment)
     for part, block in zip(terms, relighter.transport.blocks, strict=True):
-        assert part.shape == (128 * len(block.groups), block.reflection.terms, 3)
+        receivers = 128 * len(block.groups)
+        assert part.shape[0] >= receivers
+        assert part.shape[1:] == (block.reflection.terms, 3)
+        assert not part[receivers:].any()
     vector = relighter.light_vector(jnp.asarray(SKY), 40.0, 2.0)
     for found, wanted in zip(terms, relighter.terms(vector), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)
