@@ -20,7 +20,7 @@ class Precompute:
     """
 
     scene: tyro.conf.Positional[pathlib.Path]
-    """A scene file (.toml)."""
+    """A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."""
     output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o", "--store"], metavar="STORE")] = None
     """The store's folder; by default one in the user's cache folder."""
     receivers: Literal["vertices", "pixels"] = "vertices"
@@ -34,13 +34,14 @@ class Precompute:
     def run(self):
         """Runs the command."""
         from jaxrelight.commands.progress import notes, progress, summarize
-        from jaxrelight.scene import load_scene
+        from jaxrelight.mesh_scene import open_scene
         from jaxrelight.transport.precompute import precompute
 
-        scene = load_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
+        scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
         notes(scene.notes)
         with progress(self.json) as report:
             summary = precompute(scene, self.dials.settings(self.receivers), self.output, report)
+        notes(summary.notes)
         summarize(describe(summary), self.json)
 
 

@@ -14,7 +14,7 @@ class Render:
     """Light a scene file: precompute what is missing, then make a picture."""
 
     scene: tyro.conf.Positional[pathlib.Path]
-    """A scene file (.toml)."""
+    """A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."""
     output: Output
     """The picture: .exr, .hdr or .png."""
     receivers: Literal["vertices", "pixels"] = "pixels"
@@ -36,16 +36,17 @@ class Render:
         from jaxrelight.commands.progress import notes, progress, summarize
         from jaxrelight.commands.relight import relight
         from jaxrelight.images import check_writable
-        from jaxrelight.scene import load_scene
+        from jaxrelight.mesh_scene import open_scene
         from jaxrelight.transport.precompute import precompute
 
         check_writable(self.output)
-        scene = load_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
+        scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
         # Found now rather than after a minute of rays.
         self.light.environment(scene.environment)
         scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
         notes(scene.notes)
         with progress(self.json) as report:
             made = precompute(scene, self.dials.settings(self.receivers), self.store, report)
+        notes(made.notes)
         picture = relight(made.folder, self.output, self.light, ViewOptions(), self.picture)
         summarize({**describe(made), **picture, "seconds": {**made.seconds, **picture["seconds"]}}, self.json)

@@ -12,8 +12,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrelight.basis import latlong
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame
-from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.transport.load import Transport
+from jaxrelight.transport.normal_maps import see
 
 
 class MaterialPixels(eqx.Module):
@@ -65,7 +65,7 @@ def make_view(transport: Transport, camera: Camera) -> View:
 
     Where receivers are pixels, the camera must be the transport's own.
     """
-    gbuffer = trace_gbuffer(transport.surfaces, transport.tracer, camera)
+    gbuffer = see(transport.surfaces, transport.tracer, camera, transport.normal_maps)
     vertices = transport.settings.receivers == "vertices"
     slot = transport.receivers.slot_of
     corners = np.where(gbuffer.back[:, None], transport.surfaces.back[gbuffer.corners], gbuffer.corners)

@@ -177,7 +177,7 @@ def test_sound_meshes_are_as_trimesh_loads_them(name):
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], reference.vertices[reference.faces])
     uv = getattr(reference.visual, "uv", None)
     assert (mesh.uv is None) == (uv is None)
-    if mesh.uv is not None:
+    if mesh.uv is not None and uv is not None:
         np.testing.assert_allclose(mesh.uv[mesh.faces], uv[reference.faces], atol=1e-12)
     # Normals are shared where texture coordinates part.
     reference.merge_vertices(merge_tex=True, merge_norm=True)
