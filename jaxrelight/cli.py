@@ -10,6 +10,7 @@ from jaxrelight.commands.info import Info
 from jaxrelight.commands.precompute import Precompute
 from jaxrelight.commands.relight import Relight
 from jaxrelight.commands.render import Render
+from jaxrelight.compilation_cache import keep_compilations
 from jaxrelight.errors import InputError
 
 
@@ -21,6 +22,7 @@ def main() -> None:
         description="Precompute light transport once; relight under any environment, from any view.",
         config=(tyro.conf.FlagCreatePairsOff,),
     )
+    keep_compilations()
     try:
         command.run()
     except InputError as error:

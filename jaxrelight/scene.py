@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxrelight.brdf import lobes
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Material, as_material, textured_lambert, textured_phong
 from jaxrelight.brdf.texture import Texture, constant
@@ -17,6 +18,7 @@ from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry import primitives
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
+from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
 from jaxrelight.scene_materials import from_file, read_texture, weighted
 
@@ -215,9 +217,10 @@ def _camera(table: _Table) -> Camera:
 
 def _environment(table: _Table, folder: pathlib.Path, zero_nonfinite: bool) -> Environment:
     file, rotate_y, scale = table.text("file"), table.number("rotate_y", 0.0), table.number("scale", 1.0)
+    layout = table.text("layout", "auto")
     table.finish()
     try:
-        return load_environment(folder / file, rotate_y, scale, zero_nonfinite=zero_nonfinite)
+        return load_environment(folder / file, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite)
     except InputError as error:
         raise _within(table, error) from None
 
@@ -284,13 +287,14 @@ def file_parts(
 
 
 def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
-    """All parts of a file normalized and transformed together, two-sided and with tangents as asked."""
+    """All parts of a file normalized and transformed together; subdivided, two-sided and with tangents as asked."""
     two_sided = table.truth("two_sided") if table.has("two_sided") else None
     tangents = table.text("tangents", "normal")
     if tangents not in ("normal", "uv"):
         raise InputError(f'\'tangents\' is "normal" or "uv", not {tangents!r}')
     size = table.number("normalize") if table.has("normalize") else None
     matrix = table.array("transform", (4, 4)) if table.has("transform") else None
+    max_edge = table.number("max_edge") if table.has("max_edge") else None
     frame = meshes.joint_bounds([part.mesh for part in parts])
     placed = []
     for part in parts:
@@ -299,6 +303,7 @@ def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.Mesh
             raise InputError(f"'tangents' = \"uv\" needs texture coordinates, which '{part.name}' does not have")
         mesh = mesh if size is None else meshes.normalized(mesh, size, frame)
         mesh = mesh if matrix is None else meshes.transformed(mesh, matrix)
+        mesh = mesh if max_edge is None else subdivided(mesh, max_edge)
         mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv")
         if two_sided is not None:
             mesh = dataclasses.replace(mesh, two_sided=two_sided)
@@ -372,10 +377,12 @@ def _material(table: _Table, folder: pathlib.Path) -> Brdf | Material:
         elif kind == "lafortune":
             made = [_lafortune_lobe(lobe) for lobe in table.tables("lobes")]
             brdf = lobes.lobe_sum(_not_negative(table, "diffuse"), made)
-        elif kind in ("ashikhmin_shirley", "measured", "fitted", "sbrdf"):
-            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong or lafortune")
+        elif kind == "ashikhmin_shirley":
+            brdf = ashikhmin_shirley(table.channels("kd"), table.channels("ks"), table.number("nu"), table.number("nv"))
+        elif kind in ("measured", "fitted", "sbrdf"):
+            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong, lafortune or ashikhmin_shirley")
         else:
-            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune")
+            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune, ashikhmin_shirley")
     except InputError as error:
         raise _within(table, error) from None
     bumps = _normal_map(table, folder)

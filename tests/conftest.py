@@ -1,5 +1,6 @@
 """A hostile session: warnings are errors (pyproject.toml), no state may leak, random examples are always the same."""
 
+import os
 from typing import Any
 
 import hypothesis
@@ -8,6 +9,9 @@ import pytest
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, max_examples=40)
 hypothesis.settings.load_profile("repeatable")
+
+# Neither this process nor its children read or write the user's compiled programs.
+os.environ["JAXRELIGHT_COMPILATION_CACHE"] = "off"
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ ROOT = pathlib.Path(jaxrelight.__file__).parent
 # itself under the same name. `basis.latlong` resamples with a row-sparse operator, so the operators that know no basis
 # lie below it; the streamed operator bakes, so it lies above `transport.bake`.
 LAYERS = (
-    ("errors", "safe"),
+    ("errors", "safe", "compilation_cache"),
     ("images", "store", "operators", "transport.settings"),
     ("basis", "brdf", "geometry"),
     ("lights", "transport.bake", "transport.visibility", "transport.normal_maps"),
@@ -40,11 +40,13 @@ PUBLIC = {
     "Relighter",
     "Scene",
     "Settings",
+    "ashikhmin_shirley",
     "box",
     "environment",
     "exact",
     "factor",
     "image_error",
+    "keep_compilations",
     "lambert",
     "load",
     "load_environment",

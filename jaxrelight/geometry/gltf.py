@@ -73,6 +73,8 @@ class _Reader:
         if uri.startswith("data:"):
             return base64.b64decode(uri.split(",", 1)[1])
         try:
+            if not (self.folder / uri).is_file():
+                raise OSError("a pipe or a device could go on for ever")
             return (self.folder / uri).read_bytes()
         except (OSError, ValueError):
             raise InputError(f"its buffer '{uri[:80]}' cannot be read; put it beside the file") from None

@@ -114,6 +114,8 @@ def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:
         known = f"{', '.join(list(READERS)[:-1])} or {list(READERS)[-1]}"
         raise InputError(_line(f"{path}: unknown mesh format '{path.suffix}'; use {known}"))
     try:
+        if path.exists() and not path.is_file():  # reading a pipe or a device could wait or go on for ever
+            raise OSError("it is not a regular file")
         data = path.read_bytes()
     except (OSError, ValueError) as fault:
         reason = getattr(fault, "strerror", None) or fault
@@ -124,6 +126,8 @@ def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:
             return raw, repaired(raw)
     except InputError as fault:
         raise InputError(_line(f"{path}: {fault}")) from None
+    except MemoryError as fault:
+        raise InputError(_line(f"{path}: is larger than the free memory; simplify the mesh")) from fault
     except Exception as fault:  # whatever a parser trips over is a fault of the file
         name = path.suffix[1:].upper()
         reason = _line(f"{fault}")[:160] or type(fault).__name__

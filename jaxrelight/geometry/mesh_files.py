@@ -126,9 +126,12 @@ def read_ply(data: bytes, folder: pathlib.Path) -> RawMesh:
     from trimesh.exchange.ply import load_ply
 
     encoding, elements, body = _ply_header(data)
-    notes = []
+    notes, short = [], 0
     if encoding == "ascii":
-        body = _promised_rows(elements, body)
+        if not body.endswith((b"\n", b"\r")):
+            notes.append("the last line has no end: the file may be cut short")
+        body, short, surplus = _promised_rows(elements, body)
+        notes += [f"ignored {surplus:,} rows after the promised ones"] if surplus else []
     else:
         order = ">" if "big" in encoding else "<"
         least = sum(e.count * sum(_size(p.counter or p.kind) for p in e.properties) for e in elements)
@@ -138,7 +141,7 @@ def read_ply(data: bytes, folder: pathlib.Path) -> RawMesh:
                 "export or copy it again"
             )
         if not _even(elements, body, order):
-            elements, body, spare = _fanned(elements, body, order)
+            elements, body, short, spare = _fanned(elements, body, order)
             notes += [f"ignored {spare:,} bytes after the promised ones"] if spare else []
     # only what a mesh needs keeps its name, which hides colours, textures and edges from trimesh
     lines = ["ply", f"format {encoding} 1.0"]
@@ -158,6 +161,8 @@ def read_ply(data: bytes, folder: pathlib.Path) -> RawMesh:
             break
     raw = _joined(loaded)
     raw.notes += notes
+    if short and len(raw.faces):  # else there are points and lines only
+        raw.lost["fewer than three vertex numbers"] = short
     return raw
 
 
@@ -202,8 +207,15 @@ def _ply_header(data: bytes) -> tuple[str, list[_Element], bytes]:
     return encoding, elements, data[end.end() :]
 
 
-def _promised_rows(elements: Sequence[_Element], body: bytes) -> bytes:
-    """An ASCII body without empty and surplus rows; refuses missing rows, or an incomplete last one."""
+def _promised_rows(elements: Sequence[_Element], body: bytes) -> tuple[bytes, int, int]:
+    """An ASCII body without empty and surplus rows.
+
+    Returns:
+        The body; how many polygons had fewer than three corners; and how many rows were surplus.
+
+    Raises:
+        InputError: rows are missing, or the last one is incomplete.
+    """
     rows = [row for row in body.decode("ascii", "replace").splitlines() if row.strip()]
     promised = sum(element.count for element in elements)
     if len(rows) < promised:
@@ -215,7 +227,22 @@ def _promised_rows(elements: Sequence[_Element], body: bytes) -> bytes:
             used += 1 + (int(words[used]) if item.counter and used < len(words) else 0)
         if used > len(words):
             raise InputError("cut short: its last row is incomplete; export or copy it again")
-    return "\n".join(rows[:promised]).encode("ascii", "replace")
+    start, short = 0, 0
+    for element in elements:
+        if element.name == "face":
+            short = sum(_corner_count(row.split(), element) < 3 for row in rows[start : start + element.count])
+        start += element.count
+    return "\n".join(rows[:promised]).encode("ascii", "replace"), short, len(rows) - promised
+
+
+def _corner_count(words: Sequence[str], face: _Element) -> int:
+    """How many vertex numbers a row of an ASCII file has for its polygon; they must be whole."""
+    at = 0
+    for item in face.properties:
+        if item.name in _PLY_KEPT["face"]:
+            return len([int(word) for word in words[at + 1 : at + 1 + int(words[at])]])
+        at += 1 + (int(words[at]) if item.counter else 0)
+    return 0
 
 
 def _even(elements: Sequence[_Element], body: bytes, order: str) -> bool:
@@ -242,13 +269,14 @@ def _even(elements: Sequence[_Element], body: bytes, order: str) -> bool:
     return start == len(body)
 
 
-def _fanned(elements: Sequence[_Element], body: bytes, order: str) -> tuple[list[_Element], bytes, int]:
+def _fanned(elements: Sequence[_Element], body: bytes, order: str) -> tuple[list[_Element], bytes, int, int]:
     """Reads a binary body whose polygons differ in length row by row.
 
     Returns:
-        Elements and body with the vertices as they are and triangles as faces, and how many bytes were left over.
+        Elements and body with the vertices as they are and triangles as faces; how many polygons had fewer than three
+        corners; and how many bytes were left over.
     """
-    at, kept, content, fans = 0, [], b"", []
+    at, kept, content, fans, short = 0, [], b"", [], 0
     for element in elements:
         begin = at
         if not any(item.counter for item in element.properties):
@@ -266,13 +294,14 @@ def _fanned(elements: Sequence[_Element], body: bytes, order: str) -> tuple[list
                     raise InputError(f"cut short: {element.count:,} rows of {element.name!r} promised; export it again")
                 if element.name == "face" and item.name in _PLY_KEPT["face"]:
                     corners = np.frombuffer(body, order + _PLY_TYPES[item.kind], length, at).tolist()
+                    short += length < 3
                     fans += [(3, corners[0], *corners[i : i + 2]) for i in range(1, length - 1)]
                 at += length * _size(item.kind)
     rows = np.zeros(len(fans), [("length", "u1"), ("corners", order + "i8", 3)])
     table = np.array(fans, np.int64).reshape(-1, 4)
     rows["length"], rows["corners"] = table[:, 0], table[:, 1:]
     faces = _Element("face", len(fans), [_Property("vertex_indices", "int64", "uchar")])
-    return [*kept, faces], content + rows.tobytes(), len(body) - at
+    return [*kept, faces], content + rows.tobytes(), short, len(body) - at
 
 
 # ---- all -------------------------------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Lighting by precomputed transport (Wang 2006 §4.3): light → light terms, and light terms → image."""
 
-import functools
 import pathlib
 
 import jax
@@ -15,6 +14,8 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
+from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport.load import Transport, load
 
 # Light terms [receivers, k, c] of every block of the operator.
@@ -47,14 +48,8 @@ class Relighter:
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator."""
-        operator = self.transport.operator
-        product = operator.apply(light) if self.transport.settings.coefficients == "all" else _apply(operator, light)
-        parts = []
-        for reflection, start, end in zip(
-            self.transport.reflections, operator.starts[:-1], operator.starts[1:], strict=True
-        ):
-            parts.append(product[start:end].reshape(-1, reflection.terms, product.shape[1]))
-        return tuple(parts)
+        parts = zip(self.transport.operator.operators, self.transport.reflections, strict=True)
+        return tuple(_apply(operator, light).reshape(-1, r.terms, light.shape[1]) for operator, r in parts)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -112,8 +107,13 @@ class Relighter:
 _light_vector = jax.jit(encode)
 
 
+def _apply(operator: Operator, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+    """One operator's product, compiled unless it reads a store as it goes."""
+    return operator.apply(light) if isinstance(operator, Streamed) else _compiled_apply(operator, light)
+
+
 @jax.jit
-def _apply(operator, light):
+def _compiled_apply(operator: Operator, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
     return operator.apply(light)
 
 
@@ -127,7 +127,6 @@ def _view_sides(reflection: Reflection) -> Reflection:
     return FixedView(reflection.brdf, jnp.zeros(3)) if isinstance(reflection, FixedView) else reflection
 
 
-@functools.partial(jax.jit, static_argnames="shape")
 def shade(
     reflections: tuple[Reflection, ...],
     weights: tuple[Weight, ...],
@@ -135,17 +134,30 @@ def shade(
     materials: tuple[MaterialPixels, ...],
     shape: tuple[int, int],
 ) -> Float[Array, "h w c"]:
-    """Radiance of the pixels of all blocks; see `Relighter.shade`."""
+    """Radiance of the pixels of all blocks; see `Relighter.shade`.
+
+    Each block is compiled by itself: as the view moves, every block's number of pixels changes on its own.
+    """
     height, width = shape
-    channels = terms[0].shape[-1]
-    image = jnp.zeros((height * width, channels), terms[0].dtype)
-    for reflection, weight, block, pixels in zip(reflections, weights, terms, materials, strict=True):
-        corners = block.at[pixels.receivers].get(mode="promise_in_bounds")
-        # pixels p, corners b, terms k, channels c
-        light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
-        view = jax.vmap(reflection.view_side)(pixels.omega_o)
-        # One-sided: nothing is seen from below the shading normal.
-        radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
-        radiance = radiance * jax.vmap(look_up, in_axes=(None, 0))(weight, pixels.uv)
-        image = image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)
-    return image.reshape(height, width, channels)
+    image = jnp.zeros((height * width, terms[0].shape[-1]), terms[0].dtype)
+    for block in zip(reflections, weights, terms, materials, strict=True):
+        image = _add_block(image, *block)
+    return image.reshape(height, width, -1)
+
+
+@jax.jit
+def _add_block(
+    image: Float[Array, "hw c"],
+    reflection: Reflection,
+    weight: Weight,
+    terms: Float[Array, "v k c"],
+    pixels: MaterialPixels,
+) -> Float[Array, "hw c"]:
+    corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
+    # pixels p, corners b, terms k, channels c
+    light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
+    view = jax.vmap(reflection.view_side)(pixels.omega_o)
+    # One-sided: nothing is seen from below the shading normal.
+    radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
+    radiance = radiance * jax.vmap(look_up, in_axes=(None, 0))(weight, pixels.uv)
+    return image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)

@@ -78,17 +78,26 @@ class SparseRows(Operator):
         return jax.vmap(lambda row, i, v: row.at[:, i].add(v))(empty, kept, values)
 
 
-def sparse_rows(indices: Int[Array, "r n"], values: Float[Array, "r c n"], columns: int) -> SparseRows:
-    """A row-sparse operator over `columns` light coefficients; indices must be below that."""
+def sparse_rows(
+    indices: Int[Array | np.ndarray, "r n"], values: Float[Array | np.ndarray, "r c n"], columns: int
+) -> SparseRows:
+    """A row-sparse operator over `columns` light coefficients; indices must be below that.
+
+    NumPy arrays are put into blocks by NumPy, so that nothing is compiled for their shapes.
+    """
     r, c, n = values.shape
     m = min(_BLOCK, r)
     b = -(-r // m)
+    host = isinstance(indices, np.ndarray) and isinstance(values, np.ndarray)
 
-    def blocks(rows):
-        return jnp.pad(rows, ((0, b * m - r), (0, 0))).reshape(b, m, n)
+    def blocks(rows) -> Array:
+        padding = (0, b * m - r), (0, 0)
+        return (
+            jax.device_put(np.pad(rows, padding).reshape(b, m, n)) if host else jnp.pad(rows, padding).reshape(b, m, n)
+        )
 
-    indices = jnp.asarray(indices).astype(smallest_index_type(columns))
-    return SparseRows(blocks(indices), tuple(blocks(jnp.asarray(values)[:, i]) for i in range(c)), r, columns)
+    indices = indices.astype(smallest_index_type(columns))
+    return SparseRows(blocks(indices), tuple(blocks(values[:, i]) for i in range(c)), r, columns)
 
 
 def smallest_index_type(columns: int) -> np.dtype:

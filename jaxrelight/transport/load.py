@@ -184,7 +184,9 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
 def stored_environment(transport: Transport) -> Environment | None:
     """The environment of the scene that the store was made from."""
     path = transport.folder / "environment.exr"
-    return load_environment(path, transport.rotate_y, transport.scale) if transport.lit else None
+    if not transport.lit:
+        return None
+    return load_environment(path, transport.rotate_y, transport.scale, layout="latlong")
 
 
 def exact(transport: Transport) -> Transport:

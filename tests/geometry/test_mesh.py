@@ -292,6 +292,26 @@ def test_quads_and_polygons_in_ply_become_fans(tmp_path):
         assert len(quad.vertices) == 4
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_short_polygons_in_ply_are_counted(tmp_path, encoding):
+    vertices = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    mesh = load_mesh(written(tmp_path, "short.ply", ply(vertices, [(0, 1, 2), (0, 2, 3), (0, 1), ()], encoding)))
+    assert len(mesh.faces) == 2
+    assert mesh.notes == ("dropped 2 of 4 faces: fewer than three vertex numbers",)
+    assert "points or lines only" in refusal(written(tmp_path, "lines.ply", ply(vertices, [(0, 1)], encoding)))
+
+
+def test_surplus_unended_and_broken_rows_of_an_ascii_ply_are_told(tmp_path):
+    whole = FILES["ascii.ply"]
+    fewer = load_mesh(written(tmp_path, "fewer.ply", whole.replace(b"face 48", b"face 40")))
+    assert len(fewer.faces) == 40
+    assert fewer.notes[0] == "ignored 8 rows after the promised ones"
+    assert "may be cut short" in load_mesh(written(tmp_path, "end.ply", whole[:-1])).notes[0]
+    assert "damaged" in refusal(written(tmp_path, "part.ply", whole.replace(b"\n3 ", b"\n3 0.", 1)))
+    lost = load_mesh(written(tmp_path, "row.ply", whole.replace(b"\n3 7 16 15", b"\n3 7 16")))
+    assert lost.notes[-1] == "dropped 1 of 48 faces: fewer than three vertex numbers"
+
+
 def test_ply_extras_are_passed_over(tmp_path):
     body = "0 0 0 9 .5 .5\n1 0 0 9 .5 .5\n0 1 0 9 .5 .5\n1 3 0 1 7 255\n0 1\n"
     header = (

@@ -1,0 +1,104 @@
+"""Compiled programs kept between processes: where, when, and that nothing worse than time is lost."""
+
+import os
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from jaxrelight.compilation_cache import VARIABLE
+
+ROOT = pathlib.Path(__file__).parents[1]
+
+# Says which folder is used, how many programs were compiled and how many found, and what was computed.
+CHILD = """
+import sys
+import jaxrelight as jr
+if "late" in sys.argv:
+    import jax
+if "own" in sys.argv:
+    import jax
+    jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+if "call" in sys.argv:
+    jr.keep_compilations()
+import jax, jax.monitoring
+counts = {"hits": 0, "misses": 0}
+def count(event, **_):
+    for kind in counts:
+        counts[kind] += event == f"/jax/compilation_cache/cache_{kind}"
+jax.monitoring.register_event_listener(count)
+print(jax.jit(lambda x: (3 * x).sum())(jax.numpy.arange(5.0)))
+print(jax.config.jax_compilation_cache_dir)
+print(counts["hits"], counts["misses"])
+"""
+
+
+def _run(*arguments, **environment) -> tuple[float, str, int, int]:
+    """The value, JAX's folder, and how many programs were found and written; anything on standard error fails."""
+    kept = {name: value for name, value in os.environ.items() if "CACHE" not in name}
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD, *map(str, arguments)],
+        capture_output=True, text=True, check=True, cwd=ROOT, env={**kept, **environment},
+    )  # fmt: skip
+    assert done.stderr == ""
+    value, folder, counts = done.stdout.splitlines()
+    hits, misses = map(int, counts.split())
+    return float(value), folder, hits, misses
+
+
+@pytest.mark.parametrize("when", [(), ("late",)], ids=["before jax is imported", "after"])
+def test_second_process_compiles_nothing(tmp_path, when):
+    value, folder, hits, misses = _run("call", *when, XDG_CACHE_HOME=str(tmp_path))
+    assert (value, hits) == (30, 0)
+    assert misses > 0
+    if sys.platform == "linux":
+        assert pathlib.Path(folder).parent == tmp_path / "jaxrelight" / "compiled"
+    assert _run("call", *when, XDG_CACHE_HOME=str(tmp_path)) == (value, folder, misses, 0)
+
+
+def test_library_keeps_nothing_unless_asked(tmp_path):
+    assert _run(XDG_CACHE_HOME=str(tmp_path)) == (30, "None", 0, 0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_variable_moves_it(tmp_path):
+    assert _run("call", **{VARIABLE: str(tmp_path / "a" / "b")})[1] == str(tmp_path / "a" / "b")
+    assert list((tmp_path / "a" / "b").iterdir())
+
+
+def test_variable_turns_it_off(tmp_path):
+    assert _run("call", XDG_CACHE_HOME=str(tmp_path), **{VARIABLE: "off"}) == (30, "None", 0, 0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_users_own_choice_stands(tmp_path):
+    mine, ours = tmp_path / "mine", tmp_path / "ours"
+    assert _run("call", JAX_COMPILATION_CACHE_DIR=str(mine), **{VARIABLE: str(ours)})[1] == str(mine)
+    assert _run(mine, "own", "call", **{VARIABLE: str(ours)})[1] == str(mine)
+    assert not ours.exists()
+
+
+def test_folder_that_cannot_be_used_costs_only_time(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    assert _run("call", **{VARIABLE: str(tmp_path / "file")}) == (30, "None", 0, 0)
+    assert _run("call", **{VARIABLE: str(tmp_path / "file" / "below")}) == (30, "None", 0, 0)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "flipped", "folder"])
+def test_damaged_programs_cost_only_time(tmp_path, damage: str):
+    """They are compiled again, without a word."""
+    _run("call", **{VARIABLE: str(tmp_path)})
+    entries = [path for path in tmp_path.iterdir() if path.name.endswith("-cache")]
+    assert entries
+    for entry in entries:
+        content = bytearray(entry.read_bytes())
+        content[len(content) // 2] ^= 4
+        entry.unlink()
+        if damage == "folder":
+            entry.mkdir()
+        else:
+            entry.write_bytes({"cut": content[: len(content) // 2], "empty": b"", "flipped": content}[damage])
+    value, _, hits, _ = _run("call", **{VARIABLE: str(tmp_path)})
+    assert (value, hits) == (30, 0)
