@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """Say what a store, a scene file or an image is: its size, its settings, its error."""
+    """Say what a store, a scene, a mesh or an image is: its size, its settings, its error."""
 
     path: tyro.conf.Positional[pathlib.Path]
-    """A store's folder, a .toml scene, or an image."""
+    """A store's folder, a .toml scene, a mesh, or an image."""
     json: bool = False
     """Print one JSON object."""
 
@@ -25,7 +25,7 @@ class Info:
 
         if self.path.is_dir():
             summary = _store(self.path)
-        elif self.path.suffix == ".toml":
+        elif self.path.suffix.lower() in (".toml", ".ply", ".obj", ".stl", ".glb", ".gltf"):
             summary = _scene(self.path)
         else:
             summary = _image(self.path)
@@ -68,9 +68,9 @@ def _store(path: pathlib.Path) -> dict:
 def _scene(path: pathlib.Path) -> dict:
     from jaxrelight.brdf.material import as_material
     from jaxrelight.commands.progress import notes
-    from jaxrelight.scene import load_scene
+    from jaxrelight.mesh_scene import open_scene
 
-    scene = load_scene(path)
+    scene = open_scene(path)
     notes(scene.notes)
     sky, camera = scene.environment, scene.camera
     return {

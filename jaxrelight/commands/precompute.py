@@ -21,7 +21,7 @@ class Precompute:
     """
 
     scene: tyro.conf.Positional[pathlib.Path]
-    """A scene file (.toml)."""
+    """A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."""
     output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o", "--store"], metavar="STORE")] = None
     """The store's folder; by default one in the user's cache folder."""
     receivers: Literal["vertices", "pixels"] = "vertices"
@@ -38,16 +38,17 @@ class Precompute:
         from jaxrelight.commands.progress import notes, progress
         from jaxrelight.commands.relight import describe, timed
         from jaxrelight.commands.summary import summarize
-        from jaxrelight.scene import load_scene
+        from jaxrelight.mesh_scene import open_scene
         from jaxrelight.transport.load import load
         from jaxrelight.transport.precompute import precompute
 
         seconds = {}
         with timed(seconds, "load"):
-            scene = load_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
+            scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
         notes(scene.notes)
         with progress(self.json) as report:
             made = precompute(scene, self.dials.settings(self.receivers), self.output, report)
+        notes(made.notes)
         seconds |= made.seconds
         with timed(seconds, "open"):
             transport = load(made.folder, made.header)

@@ -15,7 +15,7 @@ class Render:
     """Light a scene file: precompute what is missing, then make a picture."""
 
     scene: tyro.conf.Positional[pathlib.Path]
-    """A scene file (.toml)."""
+    """A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."""
     output: Output
     """The picture: .exr, .hdr or .png."""
     receivers: Literal["vertices", "pixels"] = "pixels"
@@ -40,20 +40,21 @@ class Render:
         from jaxrelight.commands.summary import summarize
         from jaxrelight.images import check_writable
         from jaxrelight.lighting.transport import Relighter
-        from jaxrelight.scene import load_scene
+        from jaxrelight.mesh_scene import open_scene
         from jaxrelight.transport.load import load
         from jaxrelight.transport.precompute import precompute
 
         check_writable(self.output)
         seconds = {}
         with timed(seconds, "load"):
-            scene = load_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
+            scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
             # Found now rather than after a minute of rays.
             environment = self.light.environment(scene.environment)
             scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
             notes(dict.fromkeys((*scene.notes, *environment.notes)))
         with progress(self.json) as report:
             made = precompute(scene, self.dials.settings(self.receivers), self.store, report)
+        notes(made.notes)
         seconds |= made.seconds
         with timed(seconds, "open"):
             # Of this scene, whatever another process has meanwhile made of the store.

@@ -13,8 +13,8 @@ from jaxrelight.basis import latlong
 from jaxrelight.buckets import bucket
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import to_local
-from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.transport.load import Transport
+from jaxrelight.transport.normal_maps import see
 
 
 class MaterialPixels(eqx.Module):
@@ -66,7 +66,7 @@ def make_view(transport: Transport, camera: Camera) -> View:
 
     Where receivers are pixels, the camera must be the transport's own.
     """
-    gbuffer = trace_gbuffer(transport.surfaces, transport.tracer, camera)
+    gbuffer = see(transport.surfaces, transport.tracer, camera, transport.normal_maps)
     vertices = transport.settings.receivers == "vertices"
     slot = transport.receivers.slot_of
     corners = np.where(gbuffer.back[:, None], transport.surfaces.back[gbuffer.corners], gbuffer.corners)

@@ -22,7 +22,6 @@ from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame, to_local
-from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
@@ -31,6 +30,7 @@ from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
+from jaxrelight.transport.normal_maps import NormalMaps, at_vertices, see
 from jaxrelight.transport.settings import Settings
 
 
@@ -61,7 +61,8 @@ class Transport:
 
     Attributes:
         settings: the dials it was made with.
-        surfaces: the geometry, for views.
+        surfaces: the geometry, for views; its normals are bent by normal maps where receivers are vertices.
+        normal_maps: of each mesh, where receivers are pixels.
         tracer: rays against it.
         receivers: the points of the operator's rows.
         blocks: what the operator's rows belong to, in their order: a block for each BRDF of each material seen.
@@ -79,6 +80,7 @@ class Transport:
 
     settings: Settings
     surfaces: Surfaces
+    normal_maps: NormalMaps
     tracer: Tracer
     receivers: Receivers
     blocks: tuple[Block, ...]
@@ -135,7 +137,11 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
                 f"{layer.folder}: {len(layer.missing):,} groups are missing; run precompute to complete them"
             )
     tracer, camera = Tracer(surfaces), Camera(**header["camera"])
-    receivers = receivers_of(surfaces, tracer, np.array(header["material_of_mesh"]), camera, settings)
+    entries = {record["number"]: record["normal_map"] for record in header["materials"]}
+    maps = {number: read_texture(folder, entry) for number, entry in entries.items() if entry is not None}
+    normal_maps = tuple(maps.get(number) for number in header["material_of_mesh"])
+    material_of_mesh = np.array(header["material_of_mesh"])
+    receivers = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
     if len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
@@ -167,7 +173,8 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
     environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
     return Transport(
         settings=settings,
-        surfaces=surfaces,
+        surfaces=at_vertices(surfaces, normal_maps) if settings.receivers == "vertices" else surfaces,
+        normal_maps=() if settings.receivers == "vertices" else normal_maps,
         tracer=tracer,
         receivers=receivers,
         blocks=tuple(blocks),
@@ -273,12 +280,17 @@ def _read_geometry(layer: store.Layer) -> Surfaces:
 
 
 def receivers_of(
-    surfaces: Surfaces, tracer: Tracer, material_of_mesh: np.ndarray, camera: Camera, settings: Settings
+    surfaces: Surfaces,
+    tracer: Tracer,
+    material_of_mesh: np.ndarray,
+    normal_maps: NormalMaps,
+    camera: Camera,
+    settings: Settings,
 ) -> Receivers:
     """The receivers that the settings ask for: they follow from the geometry, so that no store need hold them."""
     if settings.receivers == "vertices":
-        return vertex_receivers(surfaces, material_of_mesh)
-    return pixel_receivers(trace_gbuffer(surfaces, tracer, camera), material_of_mesh)
+        return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh)
+    return pixel_receivers(see(surfaces, tracer, camera, normal_maps), material_of_mesh)
 
 
 def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:

@@ -52,6 +52,7 @@ class Summary:
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
         header: what the store's header says of this scene; another process may write another one meanwhile.
+        notes: what the settings cost that one might not expect, one line each.
     """
 
     folder: pathlib.Path
@@ -60,6 +61,7 @@ class Summary:
     receivers: int
     nbytes: dict[str, int]
     header: dict
+    notes: tuple[str, ...] = ()
 
 
 def precompute(
@@ -100,14 +102,15 @@ def precompute(
         whole_key = store.key_of(geometry_key, surfaces.uv, surfaces.uv_tangents)
         geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
         tracer = Tracer(surfaces)
-        receivers = receivers_of(surfaces, tracer, material_of_mesh, scene.camera, settings)
+        bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
+        receivers = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
         if not receivers.count:
             raise InputError(f"{scene.name}: the camera sees no surface; there is nothing to precompute")
 
     camera_key = dataclasses.astuple(scene.camera) if settings.receivers == "pixels" else None
-    visibility_key = store.key_of(
-        geometry_key, material_of_mesh, _plain(camera_key), settings.resolution, settings.visibility_samples, GROUP
-    )
+    bumps_key = [whole_key, *(np.asarray(b.pixels) if b else None for b in bumps)] if any(bumps) else None
+    dials = settings.resolution, settings.visibility_samples, GROUP
+    visibility_key = store.key_of(geometry_key, material_of_mesh, _plain(camera_key), *dials, bumps_key)
     directions = cubemap.directions(settings.resolution * settings.samples_per_side)
     with _timed(seconds, "visibility"):
         visibility = store.make_layer(
@@ -125,12 +128,15 @@ def precompute(
             if not len(groups):
                 continue
             terms = scene.terms.get(name, settings.terms)
-            for component in as_material(scene.materials[name]).components:
+            material = as_material(scene.materials[name])
+            bump = _write_texture(folder, material.normal_map) if material.normal_map else None
+            for component in material.components:
                 brdf = component.brdf
                 reflection, factors = _factors(folder, brdf, terms, settings)
                 reflection = reflection or fixed_view(brdf, receivers, groups)
                 weight = [_write_texture(folder, texture) for texture in component.weight]
                 record = {"name": name, "number": number, "brdf": to_record(brdf), "factors": factors, "weight": weight}
+                record["normal_map"] = bump
                 if settings.coefficients != "all":
                     # The name of the factors tells their number and their resolution.
                     key = store.key_of(
@@ -158,7 +164,12 @@ def precompute(
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(folder / name)
-    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header)
+    notes = []
+    if any(bumps) and settings.receivers == "vertices":
+        notes.append(
+            "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
+        )
+    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, tuple(notes))
 
 
 class _timed:  # noqa: N801 - reads as a verb

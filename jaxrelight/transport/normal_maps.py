@@ -1,0 +1,69 @@
+"""Shading normals with normal maps: at every pixel that is seen, or at vertices."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxrelight.brdf.texture import Texture
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.gbuffer import GBuffer, trace_gbuffer
+from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import Tracer
+
+# A normal map, or none, for each mesh.
+NormalMaps = Sequence[Texture | None]
+# Between the eye and a normal that a map would turn away from it.
+_LEAST_COSINE = 0.05
+
+
+def bent(
+    normals: Float[np.ndarray, "p 3"], u_axes: Float[np.ndarray, "p 4"], uv: Float[np.ndarray, "p 2"], bumps: Texture
+) -> Float[np.ndarray, "p 3"]:
+    """Unit normals n' ∝ x s + y t + z n of a map that holds ((x, y, z) + 1)/2 in the frame of growing u and v.
+
+    s is the direction of growing u made perpendicular to n, and t that of growing v. Where texture coordinates do not
+    tell s, or the map has no direction, n stays.
+    """
+    x, y, z = (2 * np.asarray(jax.vmap(bumps.look_up)(jnp.asarray(uv, jnp.float32)), float) - 1).T[:, :, None]
+    along = u_axes[:, :3] - normals * np.sum(u_axes[:, :3] * normals, axis=1, keepdims=True)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    along = along / np.where(length > 0, length, 1)
+    across = np.sign(u_axes[:, 3:]) * np.cross(normals, along)
+    turned = x * along + y * across + z * normals
+    size = np.linalg.norm(turned, axis=1, keepdims=True)
+    return np.where((length > 1e-6) & (size > 1e-6), turned / np.where(size > 0, size, 1), normals)
+
+
+def at_vertices(surfaces: Surfaces, maps: NormalMaps) -> Surfaces:
+    """Surfaces whose vertices' normals are bent."""
+    normals = surfaces.normals.copy()
+    for number, bumps in enumerate(maps):
+        if bumps is not None:
+            mine = surfaces.mesh_of_vertex == number
+            normals[mine] = bent(normals[mine], surfaces.u_axes[mine], surfaces.uv[mine], bumps)
+    return dataclasses.replace(surfaces, normals=normals) if any(maps) else surfaces
+
+
+def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) -> GBuffer:
+    """A camera's G-buffer, whose normals are bent.
+
+    A slope that faces away from the eye could not be seen, were it really there; it is turned until it is, nearly
+    edge on. Else it would be black, as what is seen from below its normal is.
+    """
+    gbuffer = trace_gbuffer(surfaces, tracer, camera)
+    side = np.where(gbuffer.back, -1.0, 1.0)[:, None]
+    normals = gbuffer.normals.copy()
+    for number, bumps in enumerate(maps):
+        mine = np.flatnonzero(gbuffer.mesh == number)
+        if bumps is not None and len(mine):
+            axes = np.einsum("pk,pkx->px", gbuffer.barycentric[mine], surfaces.u_axes[gbuffer.corners[mine]])
+            turned = side[mine] * bent(side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps)
+            omega_o = gbuffer.omega_o[mine]
+            seen = np.minimum(_LEAST_COSINE, np.sum(normals[mine] * omega_o, axis=1, keepdims=True))
+            turned += np.maximum(seen - np.sum(turned * omega_o, axis=1, keepdims=True), 0) * omega_o
+            normals[mine] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return dataclasses.replace(gbuffer, normals=normals)
