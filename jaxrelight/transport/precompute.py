@@ -20,7 +20,7 @@ from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import Factored, factor
+from jaxrelight.brdf.factors import COSINE, Factored, factor
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
@@ -241,7 +241,7 @@ def _factors(folder: pathlib.Path, brdf: Brdf, terms: int, settings: Settings) -
     """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant."""
     if settings.receivers == "pixels" and not brdf.is_constant:
         return None, None
-    key = store.key_of(to_record(brdf), terms, settings.factor_resolution)
+    key = store.key_of(to_record(brdf), terms, settings.factor_resolution, *COSINE)
     path = folder / f"factors-{key}"
     with contextlib.suppress(InputError):
         return read_factors(store.open_layer(path)), path.name
