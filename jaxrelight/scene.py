@@ -264,7 +264,9 @@ def _parts(
     if chosen:
         chosen.finish()
     table.finish()
-    return file_parts(short, read, overridden)
+    # Files of one name in several folders keep their materials apart.
+    taken = any(other.startswith(f"{short}:") for other in materials)
+    return file_parts(name if taken else short, read, overridden)
 
 
 def file_parts(

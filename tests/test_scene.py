@@ -7,8 +7,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 
 from jaxrelight import InputError, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
+from jaxrelight.brdf.material import as_material
 from tests.shared_data import shared
 
 GOOD = """
@@ -470,3 +472,117 @@ def test_faults_of_a_part_name_the_scene_and_the_part(tmp_path, part):
 @pytest.mark.parametrize("albedo", ["1e300", "[0.5, true, 0.5]", '["0.5", "0.5", "0.5"]'])
 def test_what_is_no_number_for_float32_is_refused(tmp_path, albedo):
     assert "albedo" in _fault(tmp_path, _CAMERA + f'[material.paper]\ntype = "lambert"\nalbedo = {albedo}\n')
+
+
+# Materials that vary over the surface, and those of mesh files.
+
+
+def _image(folder, name: str, pixels) -> None:
+    Image.fromarray(np.asarray(pixels, np.uint8)).save(folder / name)
+
+
+def test_pictures_for_colours(folder):
+    _image(folder, "wood.png", [[[255, 0, 188]], [[0, 255, 255]]])
+    text = GOOD.replace("albedo = [0.5, 0.4, 0.3]", 'albedo = "wood.png"').replace(
+        "diffuse = 0.1", 'diffuse = "wood.png"'
+    )
+    scene = load_scene(_write(folder, text))
+    wood, lacquer = as_material(scene.materials["paper"]), as_material(scene.materials["lacquer"])
+    linear = ((188 / 255 + 0.055) / 1.055) ** 2.4
+    (component,) = wood.components
+    np.testing.assert_allclose(component.weight[0].pixels[:, 0], [[1, 0, linear], [0, 1, 1]], rtol=1e-5)
+    np.testing.assert_allclose(_values(component.brdf), 1 / np.pi, rtol=1e-6)
+    diffuse, specular = lacquer.components
+    assert eqx.tree_equal(diffuse.weight, component.weight)
+    np.testing.assert_allclose(specular.weight[0].pixels, [[[0.2, 0.3, 0.4]]], rtol=1e-6)
+    np.testing.assert_allclose(_values(specular.brdf)[:, 0], _values(phong(0, 1, 12))[:, 0], rtol=1e-6)
+
+
+def test_mixtures_and_normal_maps(folder):
+    _image(folder, "mask.png", [[[0, 51, 255]]])
+    _image(folder, "bumps.png", [[[128, 128, 255]]])
+    parts = (
+        '{material = "paper", weight = "mask.png"}',
+        '{material = "lacquer", weight = 0.5}',
+        '{material = "brushed", weight = [0, 1, 0]}',
+    )
+    mixed = f'[material.mixed]\ntype = "mixture"\nnormal_map = "bumps.png"\nparts = [{", ".join(parts)}]\n'
+    mixed += '[[mesh]]\nprimitive = "plane"\n'
+    scene = load_scene(_write(folder, GOOD.replace('[[mesh]]\nprimitive = "plane"\n', mixed)))
+    material = as_material(scene.materials["mixed"])
+    weights = [np.asarray(texture.pixels).ravel() for part in material.components for texture in part.weight]
+    np.testing.assert_allclose(weights[0], [0, 0.2, 1], atol=1e-6)  # masks are data, not colours
+    np.testing.assert_allclose(weights[1], [0.5])
+    np.testing.assert_allclose(weights[2], [0, 1, 0])
+    assert material.normal_map is not None
+    np.testing.assert_allclose(material.normal_map.pixels[0, 0], [128 / 255, 128 / 255, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("albedo = 0.5", 'albedo = "none.png"', "none.png: no such file"),
+        ("albedo = 0.5", "albedo = 0.5\nnormal_map = 3\nx = 1", "'x' is not known"),
+        ('type = "lambert"\nalbedo = 0.5', 'type = "mixture"', "a mixture needs 'parts'"),
+        (
+            'type = "lambert"\nalbedo = 0.5',
+            'type = "mixture"\nparts = [{material = "paper", weight = 1}]',
+            "there is no [material.paper] to mix",
+        ),
+        ("resolution = 2", "two_sided = 1", "'two_sided' must be true or false, not 1"),
+        ("resolution = 2", 'tangents = "vu"', '\'tangents\' is "normal" or "uv"'),
+        ('primitive = "plane"', 'primitive = "sphere"\ntangents = "uv"', "needs texture coordinates"),
+        (
+            "resolution = 2",
+            'materials = {top = "paper"}',
+            "give either 'material' for all of it or 'materials' by part",
+        ),
+    ],
+)
+def test_faults_of_what_varies(folder, old: str, new: str, what: str):
+    assert what in _refusal(folder, _changed(SMALL, old, new))
+
+
+TWO = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nusemtl wood\nf 1/1 2/2 3/1\nusemtl steel\nf 1 3 4\n"
+
+
+def _with_file(folder, lines: str):
+    (folder / "two.obj").write_text(TWO)
+    return load_scene(_write(folder, SMALL.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)))
+
+
+def test_a_files_own_materials_and_those_that_override_them(folder):
+    scene = _with_file(folder, 'file = "two.obj"\nmaterials = {steel = "paper"}\nnormalize = 2')
+    assert [part.material for part in scene.parts] == ["two.obj:wood", "paper"]
+    assert "two.obj: says nothing about its materials, taken as grey: wood" in scene.notes[-1]
+    both = np.concatenate([part.mesh.vertices for part in scene.parts])
+    np.testing.assert_allclose([both.min(axis=0), both.max(axis=0)], [[-1, 0, 0], [1, 2, 0]], atol=1e-12)
+    scene = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\ntwo_sided = true')
+    assert [part.material for part in scene.parts] == ["paper"]
+    assert scene.parts[0].mesh.two_sided
+    (folder / "two.mtl").write_text(
+        "newmtl wood\nKd 1 1 1\nKs 1 1 1\nNs 9\nmap_Kd none.png\nnewmtl steel\nKd 0.2 0.2 0.2\n"
+    )
+    (folder / "two.obj").write_text("mtllib two.mtl\n" + TWO)
+    scene = load_scene(folder / "scene.toml")
+    assert scene.notes == ()
+    text = (folder / "scene.toml").read_text().replace('material = "paper"\ntwo_sided = true', "")
+    scene = load_scene(_write(folder, text))
+    np.testing.assert_allclose(_values(scene.materials["two.obj:steel"]), 0.2 / np.pi, rtol=1e-6)
+    np.testing.assert_allclose(_values(scene.materials["two.obj:wood"]), _values(phong(0.5, 0.5, 9)), rtol=1e-6)
+    assert "none.png: no such file" in scene.notes[0]
+    assert "diffuse and specular add up to 2, scaled down to 1" in scene.notes[1]
+
+
+@pytest.mark.parametrize(
+    ("lines", "what"),
+    [
+        ('materials = {stele = "paper"}', "'stele' is not known; did you mean 'steel'?"),
+        ('materials = {steel = "papre"}', "there is no [material.papre]; did you mean 'paper'?"),
+        ("materials = 3", "must be a table"),
+        ('tangents = "uv"', "needs texture coordinates, which 'steel' does not have"),
+    ],
+)
+def test_faults_of_materials_by_part(folder, lines: str, what: str):
+    with pytest.raises(InputError, match=re.escape(what)):
+        _with_file(folder, f'file = "two.obj"\n{lines}')

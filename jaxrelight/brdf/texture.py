@@ -24,7 +24,7 @@ class Texture(eqx.Module):
         if self.is_constant:
             return self.pixels[0, 0]
         h, w, c = self.pixels.shape
-        flat = self.pixels.reshape(h * w, c)
+        flat = jnp.asarray(self.pixels).reshape(h * w, c)
         # The whole part goes first, so that far repetitions lose no more digits than their coordinates have lost.
         x, y = (uv[0] - jnp.floor(uv[0])) * w - 0.5, (1 - (uv[1] - jnp.floor(uv[1]))) * h - 0.5
         left, top = jnp.floor(x), jnp.floor(y)

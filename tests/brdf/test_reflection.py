@@ -49,3 +49,34 @@ def test_of_group_picks_one_groups_views_and_all_of_what_is_shared():
     assert eqx.tree_equal(picked.brdf, BRDF)
     factors = Factored(jnp.ones((2, 3, 4, 4)), jnp.ones((2, 3, 4, 4)))
     assert eqx.tree_equal(of_group(factors, 1), factors)
+
+
+def test_parameters_of_the_brdf_may_be_each_receivers_own():
+    """As `of_group` and a loop over receivers part them: every receiver has its exponent and shares the rest."""
+    exponents = jnp.arange(1.0, 7.0).reshape(2, 3, 1, 1)
+    omega_o = jnp.broadcast_to(jnp.asarray([-0.48, 0.36, 0.8]), (2, 3, 3))
+    varying = eqx.tree_at(lambda b: b.exponent, BRDF, exponents)
+    only_exponent = eqx.tree_at(lambda b: b.exponent, jax.tree.map(lambda _: False, BRDF), True)
+    own, shared = eqx.partition(varying, only_exponent)
+    group = of_group(FixedView(shared, omega_o, own), 1)
+    own, shared = eqx.partition(group, group.per_receiver)
+    assert (group.terms, group.channels) == (1, 3)
+    omega_i = jnp.asarray([0.6, 0, 0.8])
+    found = jax.vmap(lambda one: eqx.combine(one, shared).light_side(omega_i))(own)
+    for value, n in zip(found, (4, 5, 6), strict=True):
+        brdf = eqx.tree_at(lambda b: b.exponent, BRDF, jnp.asarray([[float(n)]]))
+        np.testing.assert_allclose(value[0], brdf.evaluate(omega_i, omega_o[0, 0]), rtol=1e-6)
+
+
+def test_a_brdf_may_lead_with_receivers_as_a_whole():
+    brdfs = [phong([0.1, 0.2, 0.3], 0.5, 7), phong(0.2, [0.1, 0.2, 0.4], 20)]
+    leading = jax.tree.map(lambda *x: jnp.stack(x), *brdfs)
+    omega_o = jnp.asarray([[-0.48, 0.36, 0.8], [0, 0, 1]])
+    nothing = jax.tree.map(lambda _: None, leading)
+    reflection = FixedView(nothing, omega_o, leading)
+    assert reflection.channels == 3
+    own, shared = eqx.partition(reflection, reflection.per_receiver)
+    omega_i = jnp.asarray([0.6, 0, 0.8])
+    found = jax.vmap(lambda one: eqx.combine(one, shared).light_side(omega_i))(own)
+    for value, brdf, view in zip(found, brdfs, omega_o, strict=True):
+        np.testing.assert_allclose(value[0], brdf.evaluate(omega_i, view), rtol=1e-6)

@@ -120,3 +120,17 @@ def test_bad_sizes_and_resolutions_are_refused(make):
 def test_numpy_numbers_are_welcome():
     assert len(plane(np.array([1, 2]), np.array([2, 3])).faces) == 12
     assert len(any_sphere(np.float32(1), np.int32(2)).faces) == 48
+
+
+@pytest.mark.parametrize("shape", [plane((2, 3), 2), box((1, 2, 3), 2)])
+def test_images_lie_on_sides_whole_and_not_mirrored(shape):
+    assert shape.uv is not None
+    np.testing.assert_array_equal([shape.uv.min(axis=0), shape.uv.max(axis=0)], [[0, 0], [1, 1]])
+    corners, uv = shape.vertices[shape.faces], shape.uv[shape.faces]
+    assert (np.linalg.det(uv[:, 1:] - uv[:, :1]) > 0).all()
+    # v goes up on upright sides, and towards −z on the top.
+    edges, rise = corners[:, 1:] - corners[:, :1], (uv[:, 1:] - uv[:, :1])[..., 1]
+    up = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1])[:, [0, 2]], axis=1) > 1e-9
+    assert ((edges[..., 1] > 1e-9)[up] == (rise > 1e-9)[up]).all()
+    top = np.cross(edges[:, 0], edges[:, 1])[:, 1] > 1e-9
+    assert ((edges[..., 2] < -1e-9)[top] == (rise > 1e-9)[top]).all()

@@ -1,0 +1,204 @@
+"""Materials that vary over the surface: linear in their parts, sharp at the view, differentiable, not baked again."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import jaxrelight as jr
+from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight.basis import cubemap
+from jaxrelight.brdf.material import Component, Material, textured_lambert, textured_phong, white_lambert
+from jaxrelight.brdf.texture import Texture, constant
+from jaxrelight.geometry import mesh as meshes
+from jaxrelight.geometry.surfaces import join
+from jaxrelight.geometry.tracer import OFFSET, Tracer
+from tests.shared_data import shared
+
+SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
+PIXELS = np.random.default_rng(7).random((6, 9, 3)).astype(np.float32)
+TEXTURE = Texture(jnp.asarray(PIXELS))
+SETTINGS = Settings("vertices", resolution=8, terms=2, coefficients="all", factor_resolution=12)
+
+
+def _scene(paper, gloss=None) -> Scene:
+    up = np.eye(4)
+    up[1, 3] = 0.3
+    block = meshes.transformed(jr.box((0.5, 0.4, 0.6), 2), up)
+    parts = [Part(jr.plane((2, 2), 4), "paper"), Part(block, "gloss")]
+    camera = jr.Camera((0.5, 1.4, 2.0), (0, 0.1, 0), fov_y=50, width=20, height=16)
+    return Scene(parts, {"paper": paper, "gloss": gloss or jr.phong(0.2, 0.4, 6.0)}, camera)
+
+
+def _open(scene: Scene, folder, receivers: str = "vertices") -> Relighter:
+    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    return Relighter.open(jr.precompute(scene, settings, folder).folder)
+
+
+def _picture(scene: Scene, folder, receivers: str = "vertices") -> np.ndarray:
+    relighter = _open(scene, folder, receivers)
+    return np.asarray(relighter.shade(relighter.light(jr.environment(SKY)), relighter.view()))
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_a_texture_of_one_colour_is_that_colour(tmp_path, receivers):
+    colours = np.array([0.7, 0.6, 0.5]), np.array([0.2, 0.3, 0.1]), np.array([0.5, 0.4, 0.3])
+
+    def flat(colour):
+        return Texture(jnp.broadcast_to(jnp.asarray(colour, jnp.float32), (3, 4, 3)))
+
+    plain = _scene(jr.lambert(colours[0]), jr.lambert(colours[1]))
+    textured = _scene(textured_lambert(flat(colours[0])), textured_lambert(flat(colours[1])))
+    if receivers == "pixels":  # the factors of a sum are not the sum of factors
+        plain = _scene(jr.lambert(colours[0]), jr.phong(colours[1], colours[2], 6.0))
+        textured = _scene(textured_lambert(flat(colours[0])), textured_phong(flat(colours[1]), flat(colours[2]), 6.0))
+    wanted = _picture(plain, tmp_path, receivers)
+    assert wanted.max() > 0.1
+    np.testing.assert_allclose(_picture(textured, tmp_path, receivers), wanted, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_pictures_are_linear_in_the_parts_of_a_mixture(tmp_path, receivers):
+    rust, paint = jr.phong([0.3, 0.1, 0.0], 0.2, 3.0), jr.lambert([0.1, 0.2, 0.6])
+    mask = Texture(jnp.asarray(PIXELS[..., :1]))
+    mixed = Material((Component(rust, (mask,)), Component(paint, (constant([0.5, 0.25, 2]), TEXTURE))))
+
+    def alone(part):
+        return _picture(_scene(Material((part,)), jr.lambert(0)), tmp_path, receivers)
+
+    wanted = sum(alone(part) for part in mixed.components)
+    found = _picture(_scene(mixed, jr.lambert(0)), tmp_path, receivers)
+    np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+
+
+def test_a_texture_is_stored_apart_from_grey_transport_and_changing_it_bakes_nothing(tmp_path):
+    settings = dataclasses.replace(SETTINGS, coefficients=24)
+
+    def layers(kind):
+        return {path.name for path in tmp_path.glob(f"{kind}-*")}
+
+    jr.precompute(_scene(textured_lambert(TEXTURE)), settings, tmp_path)
+    before = {kind: layers(kind) for kind in ("geometry", "visibility", "transport", "factors", "texture")}
+    other = textured_lambert(Texture(TEXTURE.pixels[::-1]))
+    assert jr.precompute(_scene(other), settings, tmp_path).rays == 0
+    assert {kind: layers(kind) for kind in before if kind != "texture"} == {
+        kind: names for kind, names in before.items() if kind != "texture"
+    }
+    assert len(layers("texture")) == len(before["texture"]) + 1 == 2
+    transport = jr.load(tmp_path)
+    paper = transport.names.index("paper")
+    assert transport.operator.operators[paper].shape[2] == 1
+    np.testing.assert_array_equal(transport.blocks[paper].weight[0].pixels, TEXTURE.pixels[::-1])
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_gradients_of_textures_at_the_view(tmp_path, receivers):
+    """The picture is linear in a texture: its derivative along any direction is the picture of that direction."""
+    relighter = _open(_scene(textured_lambert(TEXTURE)), tmp_path, receivers)
+    terms, view = relighter.light(jr.environment(SKY)), relighter.view()
+    number = relighter.transport.names.index("paper")
+    blocks = relighter.transport.blocks
+    aim = jnp.asarray(np.random.default_rng(8).random((16, 20, 3)), jnp.float32)
+
+    def weights(pixels):
+        return tuple((Texture(pixels),) if i == number else block.weight for i, block in enumerate(blocks))
+
+    def loss(pixels):
+        return jnp.sum(aim * relighter.shade(terms, view, weights(pixels)))
+
+    gradient = jax.grad(loss)(TEXTURE.pixels)
+    along = jnp.asarray(np.random.default_rng(9).random(PIXELS.shape), jnp.float32)
+    wanted = loss(TEXTURE.pixels + along) - loss(TEXTURE.pixels)
+    assert abs(wanted) > 1
+    np.testing.assert_allclose(jnp.vdot(gradient, along), wanted, rtol=1e-4)
+    np.testing.assert_allclose(jax.jvp(loss, (TEXTURE.pixels,), (along,))[1], wanted, rtol=1e-4)
+
+
+def test_a_textured_material_needs_texture_coordinates(tmp_path):
+    scene = _scene(textured_lambert(TEXTURE))
+    bare = dataclasses.replace(scene.parts[0].mesh, uv=None)
+    with pytest.raises(jr.InputError, match="has no texture coordinates, which its material 'paper' needs"):
+        jr.precompute(dataclasses.replace(scene, parts=[Part(bare, "paper")]), SETTINGS, tmp_path)
+
+
+def _brute_force(mesh, pixels, camera, resolution: int, light):
+    """Radiance of a textured Lambert mesh, ray by ray and sum by sum in NumPy, and where it is seen."""
+    surfaces = join([mesh])
+    tracer = Tracer(surfaces)
+    rays = camera.directions().reshape(-1, 3)
+    origin = np.broadcast_to(surfaces.to_scene(np.array(camera.origin)), rays.shape)
+    face, weight = tracer.first_hits(origin, rays)
+    directions, angles = cubemap.directions(resolution), cubemap.solid_angles(resolution)
+    out = np.zeros((len(rays), 3))
+    h, w, _ = pixels.shape
+    for i in np.flatnonzero(face >= 0):
+        corners = mesh.faces[face[i]]
+        normal = weight[i] @ mesh.normals[corners]
+        normal /= np.linalg.norm(normal)
+        point = weight[i] @ surfaces.vertices[corners] + OFFSET * surfaces.face_normals(face[i : i + 1])[0]
+        cosine = directions @ normal
+        above = cosine > 0
+        free = ~tracer.occluded(np.broadcast_to(point, directions[above].shape), directions[above])
+        irradiance = (light[above] * (cosine * angles)[above, None] * free[:, None]).sum(axis=0)
+        u, v = weight[i] @ mesh.uv[corners]
+        place = [[(1 - v) * h - 0.5], [u * w - 0.5]]
+        albedo = [ndimage.map_coordinates(pixels[..., c], place, order=1, mode="grid-wrap")[0] for c in range(3)]
+        out[i] = np.array(albedo) * irradiance / np.pi if normal @ -rays[i] > 0 else 0
+    return out.reshape(camera.height, camera.width, 3)
+
+
+def test_spot_with_its_texture_against_brute_force(tmp_path):
+    mesh = meshes.normalized(jr.load_mesh(shared("data", "mesh", "spot.obj")), 1.0)
+    pixels = jr.read_image(shared("data", "mesh", "spot_texture.png"))[..., :3]
+    camera = jr.Camera((0.5, 0.7, -2.6), (0, 0.45, 0), fov_y=24, width=12, height=12)
+    scene = Scene([Part(mesh, "cow")], {"cow": textured_lambert(Texture(jnp.asarray(pixels)))}, camera)
+    relighter = _open(scene, tmp_path, "pixels")
+    environment = jr.environment(SKY)
+    light = np.asarray(relighter.light_vector(jnp.asarray(SKY)), float)
+    found = np.asarray(relighter.shade(relighter.light(environment), relighter.view()))
+    wanted = _brute_force(mesh, pixels, camera, SETTINGS.resolution, light)
+    assert (wanted.max(axis=-1) > 0).mean() > 0.3
+    # A ray in a hundred thousand may fall on the other side of an edge.
+    np.testing.assert_allclose(np.linalg.norm(found - wanted) / np.linalg.norm(wanted), 0, atol=1e-3)
+
+
+# Two-sided surfaces.
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+@pytest.mark.parametrize("height", [2.0, -2.0])
+def test_white_furnace_of_both_sides(tmp_path, receivers, height):
+    sheet = dataclasses.replace(jr.plane((2, 2), 4), two_sided=True)
+    camera = jr.Camera((0.1, height, 0.3), (0, 0, 0), fov_y=30, width=8, height=8)
+    settings = dataclasses.replace(SETTINGS, receivers=receivers, resolution=32)
+    scene = Scene([Part(sheet, "white")], {"white": white_lambert()}, camera)
+    relighter = Relighter.open(jr.precompute(scene, settings, tmp_path).folder)
+    view = relighter.view()
+    assert view.covered.all()
+    found = relighter.shade(relighter.light(jr.environment(np.ones((8, 16, 3)))), view)
+    np.testing.assert_allclose(found, 1, atol=1e-3)
+    assert len(relighter.transport.surfaces.faces) == len(sheet.faces)
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_the_back_is_the_front_of_the_sheet_turned_over(tmp_path, receivers):
+    camera = jr.Camera((0.4, -1.5, 1.3), (0, 0, 0), fov_y=40, width=16, height=12)
+    sheet, gloss = jr.plane((2, 2), 6), {"gloss": jr.phong(0.2, 0.5, 8.0)}
+    over = meshes.Mesh(sheet.vertices, sheet.faces[:, ::-1], -sheet.normals)
+    block = Part(meshes.transformed(jr.box((0.3, 0.3, 0.3), 2), _down()), "gloss")
+    sides = dataclasses.replace(sheet, two_sided=True), over, sheet
+    both, back, front = (
+        _picture(Scene([Part(mesh, "gloss"), block], gloss, camera), tmp_path / str(i), receivers)
+        for i, mesh in enumerate(sides)
+    )
+    np.testing.assert_allclose(both, back, rtol=1e-4, atol=1e-5)
+    assert np.abs(both - front).max() > 0.01
+
+
+def _down() -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[1, 3] = -0.4
+    return matrix
