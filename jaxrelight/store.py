@@ -33,7 +33,7 @@ import zstandard
 from jaxrelight.array_file import check_arrays, decode_arrays, encode_arrays
 from jaxrelight.errors import InputError
 
-FORMAT = 2
+FORMAT = 3
 
 # Seconds after which a file that was not renamed belongs to nobody any more: writing one takes milliseconds.
 _ABANDONED = 60
@@ -215,10 +215,9 @@ def write_header(folder: pathlib.Path, header: Mapping):
 
 def layers_of(header: Mapping) -> list[str]:
     """The names of the layers that a header refers to."""
-    kinds = "geometry", "visibility", "factors", "transport", "normal_map", "pixels"
-    tables = header, *header["materials"], header["environment"] or {}
-    named = [table.get(kind) for table in tables for kind in kinds]
-    named += [entry for record in header["materials"] for entry in record["weight"]]
+    named = [header["geometry"], header["visibility"], (header["environment"] or {}).get("pixels")]
+    for material in header["materials"]:
+        named += [material.get(key) for key in ("factors", "transport", "normal_map")] + material["weight"]
     return [name for name in named if isinstance(name, str)]
 
 

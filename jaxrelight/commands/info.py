@@ -1,5 +1,6 @@
 """jaxrelight info: what a store, scene or image is."""
 
+import collections
 import dataclasses
 import pathlib
 from typing import TYPE_CHECKING
@@ -37,22 +38,21 @@ def _store(path: pathlib.Path) -> dict:
 
     from jaxrelight import store
     from jaxrelight.commands.relight import describe
-    from jaxrelight.geometry.receivers import GROUP
     from jaxrelight.transport.load import load
 
     header = store.read_header(path)
     transport, used = load(path, header), set(store.layers_of(header))
     layers = sorted(folder for folder in path.iterdir() if folder.is_dir())
+    terms = collections.Counter()
+    for block in transport.blocks:
+        terms[block.material] += block.reflection.terms
     summary = {
         "kind": "store",
         "store": str(path),
         "scene": header["scene"],
         "receivers": transport.receivers.count,
-        "rows": sum(len(block.groups) * GROUP * block.reflection.terms for block in transport.blocks),
-        "materials": {
-            name: sum(block.reflection.terms for block in transport.blocks if block.material == name)
-            for name in dict.fromkeys(transport.names)
-        },
+        "rows": transport.operator.shape[0],
+        "materials": dict(terms),
         "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
         **describe(transport),

@@ -30,5 +30,5 @@ def tangent_frame(
 def to_local(
     normal: Float[Array, "... 3"], tangent: Float[Array, "... 3"], direction: Float[Array, "... 3"]
 ) -> Float[Array, "... 3"]:
-    """World directions in the tangent frames of their normals."""
+    """World directions in the tangent frames of their normals and tangents."""
     return jnp.einsum("...xy,...y->...x", tangent_frame(normal, tangent), direction, precision="highest")

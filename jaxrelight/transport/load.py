@@ -3,12 +3,11 @@
 import dataclasses
 import functools
 import pathlib
-import types
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
@@ -66,8 +65,7 @@ class Transport:
         tracer: rays against it.
         receivers: the points of the operator's rows.
         blocks: what the operator's rows belong to, in their order: a block for each BRDF of each material seen.
-        operator: from light to light terms; its rows are ordered by block, group, receiver and term. Where it was
-            read from a store, the rows of each block are followed by rows of zeros up to one of few numbers.
+        operator: from light to light terms; its rows are ordered by block, group, receiver and term.
         basis: of the operator's light.
         kept: share of transport energy that the operator keeps.
         camera: the scene's.
@@ -144,7 +142,6 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
     receivers = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
     if len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
         raise ValueError("materials and meshes do not belong together")
     blocks, operators, total = [], [], 0.0
@@ -157,7 +154,7 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         )
         dropped = None
         if settings.coefficients == "all":
-            operators.append(_streamed(visibility, groups, frames_of(receivers, groups), reflection, directions))
+            operators.append(_streamed(settings, visibility, receivers, groups, reflection))
         else:
             layer = store.open_layer(folder / record["transport"])
             if layer.missing:
@@ -203,15 +200,8 @@ def exact(transport: Transport) -> Transport:
     The reference that the kept coefficients are measured against; factors stay what they are.
     """
     settings = transport.settings
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     operators = [
-        _streamed(
-            transport.visibility,
-            block.groups,
-            frames_of(transport.receivers, block.groups),
-            block.reflection,
-            directions,
-        )
+        _streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
         for block in transport.blocks
     ]
     return dataclasses.replace(
@@ -224,13 +214,16 @@ def exact(transport: Transport) -> Transport:
     )
 
 
-def _streamed(visibility, groups, frames, reflection, directions) -> Streamed:
+def _streamed(
+    settings: Settings, visibility: store.Layer, receivers: Receivers, groups: np.ndarray, reflection: Reflection
+) -> Streamed:
     """The exact operator of one material's groups, reading visibility from its layer."""
 
     def read_bits(group: int) -> np.ndarray:
         return visibility.read("bits", int(groups[group]))
 
-    return Streamed(read_bits, frames, reflection, directions)
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    return Streamed(read_bits, jnp.asarray(frames_of(receivers, groups)), reflection, directions)
 
 
 def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
@@ -251,8 +244,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         assert isinstance(old, SparseRows)
         n = old.indices.shape[-1]
         frames = frames_of(transport.receivers, groups)
-        k, rows = reflection.terms, len(groups) * GROUP * reflection.terms
-        kept = old.indices.reshape(-1, n)[:rows].reshape(len(groups), GROUP, k, n)
+        kept = old.indices.reshape(-1, n)[: old.row_count].reshape(len(groups), GROUP, reflection.terms, n)
         values = [
             bake.bake_kept(
                 jnp.asarray(transport.visibility.read("bits", int(group))),
@@ -264,8 +256,9 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
             )
             for i, group in enumerate(groups)
         ]
-        joined = jnp.concatenate(values).reshape(len(groups), GROUP, k, reflection.channels, n)
-        operators.append(_rows_of_groups(kept, joined, old.columns, jnp))
+        joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
+        held = padded_receivers(len(groups) * GROUP) * reflection.terms
+        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns, held))
     return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
 
 
@@ -294,21 +287,21 @@ def receivers_of(
 
 
 def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:
-    """The tangent frames of the shading normals of some groups."""
+    """The tangent frames of some groups."""
     return _by_group(tangent_frame, receivers.normals[groups], receivers.tangents[groups])
 
 
 def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
     """The exact reflection of some groups of pixel receivers."""
     assert receivers.omega_o is not None
-    omega_o = _by_group(to_local, receivers.normals[groups], receivers.tangents[groups], receivers.omega_o[groups])
-    return FixedView(brdf, omega_o)  # pyright: ignore[reportArgumentType]
+    arrays = receivers.normals, receivers.tangents, receivers.omega_o
+    return FixedView(brdf, _by_group(to_local, *(array[groups] for array in arrays)))  # pyright: ignore[reportArgumentType]
 
 
 def _by_group(function, *arrays: Float[np.ndarray, "g m ..."]) -> Float[np.ndarray, "g m ..."]:
     """A function of the arrays of one group, for many: compiled once, however many there are."""
     compiled = _compiled(function)
-    # Receivers are no part of what a caller may trace.
+    # Constants, also where a caller is being traced.
     with jax.ensure_compile_time_eval():
         return np.stack([compiled(*(part.astype(np.float32) for part in group)) for group in zip(*arrays, strict=True)])
 
@@ -329,25 +322,14 @@ def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
 
 
 def padded_receivers(count: int) -> int:
-    """To how many receivers, of zero transport, the operator of a block is filled up."""
+    """For how many receivers light terms of a material are computed: zeros past `count`, which nobody reads."""
     return bucket(count, 8 * GROUP)
 
 
 def _sparse_rows(folder: pathlib.Path, indices: np.ndarray, values: np.ndarray, settings: Settings) -> SparseRows:
-    """The operator of one block's groups, from its layer's arrays."""
+    """The operator of one block, from its layer's arrays [g, m, k, …]."""
     if indices.max() >= 6 * settings.resolution**2:
         raise InputError(f"{folder}: indices are out of range; delete this folder and run precompute again")
-    return _rows_of_groups(indices, values, 6 * settings.resolution**2, np)
-
-
-def _rows_of_groups(
-    indices: Int[np.ndarray | Array, "g m k n"],
-    values: Float[np.ndarray | Array, "g m k c n"],
-    columns: int,
-    lib: types.ModuleType,
-) -> SparseRows:
-    """The operator of some groups, filled up with receivers of zero transport; `lib` is numpy, or jax.numpy."""
     g, m, k, c, n = values.shape
-    more = (0, (padded_receivers(g * m) - g * m) * k), (0, 0)
-    indices = lib.pad(indices.reshape(-1, n), more)
-    return sparse_rows(jnp.asarray(indices), jnp.asarray(lib.pad(values.reshape(-1, c, n), (*more, (0, 0)))), columns)
+    held = padded_receivers(g * m) * k
+    return sparse_rows(indices.reshape(-1, n), values.reshape(-1, c, n), 6 * settings.resolution**2, held)

@@ -205,14 +205,6 @@ def _write_once(folder: pathlib.Path, arrays: dict[str, np.ndarray]) -> store.La
     return layer
 
 
-def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
-    """The name of a texture's layer; the values of a constant one."""
-    if texture.is_constant:
-        return np.asarray(texture.pixels[0, 0]).tolist()
-    pixels = np.asarray(texture.pixels)
-    return _write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
-
-
 def _write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
     return _write_once(
         folder,
@@ -235,6 +227,14 @@ def _write_environment(folder: pathlib.Path, environment: Environment | None) ->
         return None
     layer = _write_once(folder / f"environment-{store.key_of(environment.pixels)}", {"pixels": environment.pixels})
     return {"pixels": layer.folder.name, "rotate_y": environment.rotate_y, "scale": environment.scale}
+
+
+def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
+    """The name of a texture's layer; the values of a constant one."""
+    if texture.is_constant:
+        return np.asarray(texture.pixels[0, 0]).tolist()
+    pixels = np.asarray(texture.pixels)
+    return _write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
 
 
 def _factors(folder: pathlib.Path, brdf: Brdf, terms: int, settings: Settings) -> tuple[Factored | None, str | None]:

@@ -100,9 +100,9 @@ def with_fewer(transport, count: int):
 
     operators, blocks = [], []
     for operator, block in zip(transport.operator.operators, transport.blocks, strict=True):
-        n, rows = operator.indices.shape[-1], len(block.dropped)
-        indices = np.asarray(operator.indices).reshape(-1, n)[:rows]
-        values = np.stack([np.asarray(v).reshape(-1, n)[:rows] for v in operator.values], axis=1)
+        n = operator.indices.shape[-1]
+        indices = np.asarray(operator.indices).reshape(-1, n)[: operator.row_count]
+        values = np.stack([np.asarray(v).reshape(-1, n)[: operator.row_count] for v in operator.values], axis=1)
         energy = np.sum(values**2, axis=1)
         chosen = np.sort(np.argsort(-energy, axis=-1, kind="stable")[:, :count], axis=-1)
         left = np.take_along_axis(values, chosen[:, None], axis=-1)
