@@ -6,8 +6,8 @@ The command line keeps them unless told otherwise; the library does when it is a
     jr.keep_compilations()
 
 The environment variable JAXRELIGHT_COMPILATION_CACHE names another folder, or is `off`. A user's own choice of
-`jax_compilation_cache_dir` or JAX_COMPILATION_CACHE_DIR stands. The folder may be deleted at any time. Compiled programs
-are code that is run: nobody else should be able to write there.
+`jax_compilation_cache_dir` or JAX_COMPILATION_CACHE_DIR stands. The folder may be deleted at any time. Compiled
+programs are code that is run: nobody else should be able to write there.
 """
 
 import hashlib

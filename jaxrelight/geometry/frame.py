@@ -19,3 +19,8 @@ def tangent_frame(normal: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
     # Near −y rounding tilts s.
     s = safe.normalize(s - jnp.sum(s * normal, axis=-1, keepdims=True) * normal)
     return jnp.stack([s, jnp.cross(normal, s), normal], axis=-2)
+
+
+def to_local(normal: Float[Array, "... 3"], direction: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """World directions in the tangent frames of their normals."""
+    return jnp.einsum("...xy,...y->...x", tangent_frame(normal), direction, precision="highest")

@@ -14,7 +14,8 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
-from jaxrelight.transport.load import Transport, load
+from jaxrelight.operators.stacked import Stacked
+from jaxrelight.transport.load import Transport, load, padded_receivers
 
 # Light terms [receivers, k, c] of every material.
 LightTerms = tuple[Float[Array, "v k c"], ...]
@@ -45,15 +46,15 @@ class Relighter:
         return _light_vector(jnp.asarray(pixels), rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
-        """Light terms of a light vector: one application of the operator."""
-        operator = self.transport.operator
-        product = operator.apply(light) if self.transport.settings.coefficients == "all" else _apply(operator, light)
-        parts = []
-        for reflection, start, end in zip(
-            self.transport.reflections, operator.starts[:-1], operator.starts[1:], strict=True
-        ):
-            parts.append(product[start:end].reshape(-1, reflection.terms, product.shape[1]))
-        return tuple(parts)
+        """Light terms of a light vector: one application of the operator.
+
+        Those of each material are followed by zeros, which nobody reads, up to one of few lengths.
+        """
+        operator, terms = self.transport.operator, tuple(r.terms for r in self.transport.reflections)
+        if self.transport.settings.coefficients == "all":
+            # Baked group by group, by compiled functions of one group.
+            return _padded(_split(operator, operator.apply(light), terms))
+        return _apply(operator, light, terms)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -103,9 +104,19 @@ class Relighter:
 _light_vector = jax.jit(encode)
 
 
-@jax.jit
-def _apply(operator, light):
-    return operator.apply(light)
+@functools.partial(jax.jit, static_argnames="terms")
+def _apply(operator: Stacked, light, terms: tuple[int, ...]) -> LightTerms:
+    return _split(operator, operator.apply(light), terms)
+
+
+def _split(operator: Stacked, product, terms: tuple[int, ...]) -> LightTerms:
+    """The product by material."""
+    parts = zip(terms, operator.starts[:-1], operator.starts[1:], strict=True)
+    return tuple(product[start:end].reshape(-1, k, product.shape[1]) for k, start, end in parts)
+
+
+def _padded(terms: LightTerms) -> LightTerms:
+    return tuple(jnp.pad(part, ((0, padded_receivers(len(part)) - len(part)), (0, 0), (0, 0))) for part in terms)
 
 
 @jax.jit
