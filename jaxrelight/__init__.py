@@ -4,7 +4,7 @@ The public names, each loaded when it is first used:
 
     scenes      load_scene, Scene, Part, Camera, Environment, environment, load_environment,
                 Mesh, load_mesh, plane, sphere, box
-    materials   lambert, phong, lobe, lobe_sum, factor
+    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, factor
     transport   Settings, precompute, load, exact, rebake
     lighting    Relighter
     images      read_image, write_image, tone_map, image_error
@@ -21,6 +21,7 @@ _HOMES = {
     "geometry.primitives": ("plane", "sphere", "box"),
     "lights.environment": ("Environment", "environment", "load_environment"),
     "brdf.lobes": ("lambert", "phong", "lobe", "lobe_sum"),
+    "brdf.ashikhmin_shirley": ("ashikhmin_shirley",),
     "brdf.factors": ("factor",),
     "transport.settings": ("Settings",),
     "transport.precompute": ("precompute",),

@@ -9,13 +9,18 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxrelight.brdf import lobes
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.material import Material, as_material, textured_lambert, textured_phong
+from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.errors import InputError
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry import primitives
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
+from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
+from jaxrelight.scene_materials import from_file, read_texture, weighted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,25 +38,27 @@ class Scene:
 
     Attributes:
         parts: the meshes.
-        materials: a BRDF by name.
+        materials: by name; a BRDF is the same over the whole surface.
         camera: the view, unless another is asked for.
         environment: the light, unless another is asked for.
         name: what messages call it.
+        assumptions: what was approximated, or taken because nothing else was said, one line each.
         terms: factors of a material, by its name, where it is to have another number than the settings say.
     """
 
     parts: Sequence[Part]
-    materials: Mapping[str, Brdf]
+    materials: Mapping[str, Brdf | Material]
     camera: Camera
     environment: Environment | None = None
     name: str = "scene"
     terms: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    assumptions: Sequence[str] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was mended while the scene was read, one line each."""
+        """What was mended and assumed while the scene was read, one line each."""
         lines = [f"{part.name}: {note}" for part in self.parts for note in part.mesh.notes]
-        return (*lines, *(self.environment.notes if self.environment else ()))
+        return (*lines, *self.assumptions, *(self.environment.notes if self.environment else ()))
 
 
 def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Scene:
@@ -80,12 +87,26 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     named = root.table("material")
     tables = {name: named.table(name) for name in named.names()}
     terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
-    materials = {name: _material(table) for name, table in tables.items()}
-    parts = tuple(_part(table, path.parent, materials) for table in root.tables("mesh"))
+    materials: dict[str, Brdf | Material] = {}
+    mixtures = {}
+    for name, table in tables.items():
+        if table.has("type") and table.text("type") == "mixture":
+            mixtures[name] = table
+        else:
+            materials[name] = _material(table, path.parent)
+    plain = dict(materials)
+    for name, table in mixtures.items():
+        materials[name] = _mixture(table, path.parent, plain)
+    parts, assumptions = [], []
+    for table in root.tables("mesh"):
+        made, found, notes = _parts(table, path.parent, materials)
+        parts += made
+        materials |= found
+        assumptions += notes
     root.finish()
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]")
-    return Scene(parts, materials, camera, environment, path.stem, terms)
+    return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions))
 
 
 class _Table:
@@ -135,6 +156,12 @@ class _Table:
         value = self.get(key, *default)
         if not isinstance(value, int) or isinstance(value, bool):
             raise InputError(f"{self.where}: '{key}' must be a whole number, not {value!r}")
+        return value
+
+    def truth(self, key: str) -> bool:
+        value = self.get(key)
+        if not isinstance(value, bool):
+            raise InputError(f"{self.where}: '{key}' must be true or false, not {value!r}")
         return value
 
     def array(self, key: str, shape: tuple[int, ...], *default) -> np.ndarray:
@@ -190,39 +217,100 @@ def _camera(table: _Table) -> Camera:
 
 def _environment(table: _Table, folder: pathlib.Path, zero_nonfinite: bool) -> Environment:
     file, rotate_y, scale = table.text("file"), table.number("rotate_y", 0.0), table.number("scale", 1.0)
+    layout = table.text("layout", "auto")
     table.finish()
     try:
-        return load_environment(folder / file, rotate_y, scale, zero_nonfinite=zero_nonfinite)
+        return load_environment(folder / file, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite)
     except InputError as error:
         raise _within(table, error) from None
 
 
-def _part(table: _Table, folder: pathlib.Path, materials: Mapping[str, Brdf]) -> Part:
+def _parts(
+    table: _Table, folder: pathlib.Path, materials: Mapping[str, Brdf | Material]
+) -> tuple[list[Part], dict[str, Brdf | Material], list[str]]:
+    """The parts of one [[mesh]], the materials that its file brings, and what was assumed of them."""
     if table.has("file") == table.has("primitive"):
         raise InputError(f"{table.where}: give either 'file' or 'primitive'")
     name = table.text("file", "") or table.text("primitive")
+    short = pathlib.PurePath(name).name
+    whole = table.has("material") or table.has("primitive")
+    chosen = table.table("materials") if table.has("materials") else None
+    if chosen and whole:
+        raise InputError(f"{table.where}: give either 'material' for all of it or 'materials' by part")
+
+    def known(owner: _Table, key: str) -> str:
+        material = owner.text(key)
+        if material not in materials:
+            close = difflib.get_close_matches(material, materials, n=1)
+            hint = f"; did you mean '{close[0]}'?" if close else ""
+            raise InputError(f"{owner.where}: there is no [material.{material}]{hint}")
+        return material
+
     try:
-        mesh = meshes.load_mesh(folder / name) if table.has("file") else _primitive(table)
-        if table.has("normalize"):
-            mesh = meshes.normalized(mesh, table.number("normalize"))
-        if table.has("transform"):
-            mesh = meshes.transformed(mesh, table.array("transform", (4, 4)))
+        if table.has("primitive"):
+            read = [meshes.MeshPart(_primitive(table), short, None)]
+        elif whole:
+            read = [meshes.MeshPart(meshes.load_mesh(folder / name), short, None)]
+        else:
+            read = meshes.load_parts(folder / name)
+        read = _placed(table, read)
     except InputError as error:
         raise _within(table, error) from None
-    for key, what in (
-        ("materials", "materials by part"),
-        ("two_sided", "two-sided meshes"),
-        ("tangents", "UV tangents"),
-    ):
-        if table.has(key):
-            raise InputError(f"{table.where}: '{key}': {what} are not supported yet; remove the key")
-    material = table.text("material")
-    if material not in materials:
-        close = difflib.get_close_matches(material, materials, n=1)
-        hint = f"; did you mean '{close[0]}'?" if close else ""
-        raise InputError(f"{table.where}: there is no [material.{material}]{hint}")
+    if whole:
+        parts = [Part(part.mesh, known(table, "material"), short) for part in read]
+        table.finish()
+        return parts, {}, []
+    overridden = {part.name: known(chosen, part.name) for part in read if chosen and chosen.has(part.name)}
+    if chosen:
+        chosen.finish()
     table.finish()
-    return Part(mesh, material, pathlib.PurePath(name).name)
+    return file_parts(short, read, overridden)
+
+
+def file_parts(
+    file: str, read: Sequence[meshes.MeshPart], overridden: Mapping[str, str]
+) -> tuple[list[Part], dict[str, Brdf | Material], list[str]]:
+    """Parts of a mesh file with its own materials, save those that are overridden by name."""
+    parts, materials, notes, grey = [], {}, [], []
+    for part in read:
+        material = overridden.get(part.name)
+        if material is None:
+            material = f"{file}:{part.name}"
+            materials[material], lines = from_file(part.material)
+            notes += [f"{material}: {line}" for line in lines]
+            grey += [] if part.material else [part.name]
+        parts.append(Part(part.mesh, material, f"{file}:{part.name}" if len(read) > 1 else file))
+    if grey:
+        why = "; the .mtl library that an OBJ file names must lie beside it" if file.lower().endswith(".obj") else ""
+        notes.append(f"{file}: says nothing about its materials, taken as grey: {', '.join(grey)}{why}")
+    return parts, materials, notes
+
+
+def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
+    """All parts of a file normalized and transformed together; subdivided, two-sided and with tangents as asked."""
+    two_sided = table.truth("two_sided") if table.has("two_sided") else None
+    tangents = table.text("tangents", "normal")
+    if tangents not in ("normal", "uv"):
+        raise InputError(f'\'tangents\' is "normal" or "uv", not {tangents!r}')
+    size = table.number("normalize") if table.has("normalize") else None
+    matrix = table.array("transform", (4, 4)) if table.has("transform") else None
+    max_edge = table.number("max_edge") if table.has("max_edge") else None
+    frame = meshes.joint_bounds([part.mesh for part in parts])
+    placed = []
+    for part in parts:
+        mesh = part.mesh
+        if tangents == "uv" and mesh.uv is None:
+            raise InputError(f"'tangents' = \"uv\" needs texture coordinates, which '{part.name}' does not have")
+        mesh = mesh if size is None else meshes.normalized(mesh, size, frame)
+        mesh = mesh if matrix is None else meshes.transformed(mesh, matrix)
+        mesh = mesh if max_edge is None else subdivided(mesh, max_edge)
+        mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv")
+        if two_sided is not None:
+            mesh = dataclasses.replace(mesh, two_sided=two_sided)
+        if mesh.two_sided:
+            mesh = dataclasses.replace(mesh, notes=tuple(n for n in mesh.notes if "faces inward" not in n))
+        placed.append(dataclasses.replace(part, mesh=mesh))
+    return placed
 
 
 def _primitive(table: _Table) -> Mesh:
@@ -236,12 +324,51 @@ def _primitive(table: _Table) -> Mesh:
     raise InputError(f"{table.where}: primitive '{kind}' is not known; known are plane, sphere, box")
 
 
-def _material(table: _Table) -> Brdf:
+def _mixture(table: _Table, folder: pathlib.Path, others: Mapping[str, Brdf | Material]) -> Material:
+    """Other materials, each times a number, a colour or a mask."""
+    table.text("type")
+    components = []
+    for part in table.tables("parts"):
+        name = part.text("material")
+        if name not in others:
+            close = difflib.get_close_matches(name, others, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else "it must be a material that is no mixture itself"
+            raise InputError(f"{part.where}: there is no [material.{name}] to mix; {hint}")
+        if as_material(others[name]).normal_map is not None:
+            raise InputError(f"{part.where}: '{name}' has a normal_map; give it to the mixture instead")
+        components += weighted(others[name], _colour(part, "weight", folder, data=True))
+        part.finish()
+    if not components:
+        raise InputError(f"{table.where}: a mixture needs 'parts', a list of tables with 'material' and 'weight'")
+    table.has("terms")  # read elsewhere
+    bumps = _normal_map(table, folder)
+    table.finish()
+    return Material(tuple(components), bumps)
+
+
+def _colour(table: _Table, key: str, folder: pathlib.Path, *, data: bool = False) -> Texture:
+    """A number, a colour or an image file."""
+    if not isinstance(table.get(key), str):
+        return constant(_not_negative(table, key))
+    try:
+        return read_texture(folder / table.text(key), data=data)
+    except InputError as error:
+        raise _within(table, error) from None
+
+
+def _normal_map(table: _Table, folder: pathlib.Path) -> Texture | None:
+    return _colour(table, "normal_map", folder, data=True) if table.has("normal_map") else None
+
+
+def _material(table: _Table, folder: pathlib.Path) -> Brdf | Material:
     kind = table.text("type")
     try:
-        if kind == "lambert":
-            if isinstance(table.get("albedo"), str):
-                raise InputError("'albedo' as an image is not supported yet; give a colour")
+        if kind == "lambert" and isinstance(table.get("albedo"), str):
+            brdf = textured_lambert(_colour(table, "albedo", folder))
+        elif kind == "phong" and any(isinstance(table.get(key), str) for key in ("diffuse", "specular")):
+            colours = _colour(table, "diffuse", folder), _colour(table, "specular", folder)
+            brdf = textured_phong(*colours, _not_negative(table, "exponent"))
+        elif kind == "lambert":
             brdf = lobes.lambert(_not_negative(table, "albedo"))
         elif kind == "phong":
             brdf = lobes.phong(
@@ -250,16 +377,17 @@ def _material(table: _Table) -> Brdf:
         elif kind == "lafortune":
             made = [_lafortune_lobe(lobe) for lobe in table.tables("lobes")]
             brdf = lobes.lobe_sum(_not_negative(table, "diffuse"), made)
-        elif kind in ("ashikhmin_shirley", "measured", "fitted", "sbrdf"):
-            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong or lafortune")
+        elif kind == "ashikhmin_shirley":
+            brdf = ashikhmin_shirley(table.channels("kd"), table.channels("ks"), table.number("nu"), table.number("nv"))
+        elif kind in ("measured", "fitted", "sbrdf"):
+            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong, lafortune or ashikhmin_shirley")
         else:
-            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune")
+            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune, ashikhmin_shirley")
     except InputError as error:
         raise _within(table, error) from None
-    if table.has("normal_map"):
-        raise InputError(f"{table.where}: 'normal_map' is not supported yet; remove it")
+    bumps = _normal_map(table, folder)
     table.finish()
-    return brdf
+    return brdf if bumps is None else Material(as_material(brdf).components, bumps)
 
 
 def _within(table: _Table, error: InputError) -> InputError:

@@ -6,6 +6,7 @@
       environment-KEY/         the scene's own light
       visibility-KEY/          one bit for each direction of each receiver
       factors-KEY/             of a BRDF
+      texture-KEY/             pixels
       transport-KEY/           kept coefficients, energies
         layout.json            names, shapes and types of the arrays
         000000, 000001 …       the arrays of one group of receivers each
@@ -32,7 +33,7 @@ import zstandard
 from jaxrelight.array_file import check_arrays, decode_arrays, encode_arrays
 from jaxrelight.errors import InputError
 
-FORMAT = 2
+FORMAT = 3
 
 # Seconds after which a file that was not renamed belongs to nobody any more: writing one takes milliseconds.
 _ABANDONED = 60
@@ -214,9 +215,10 @@ def write_header(folder: pathlib.Path, header: Mapping):
 
 def layers_of(header: Mapping) -> list[str]:
     """The names of the layers that a header refers to."""
-    tables = header, *header["materials"], header["environment"] or {}
-    kinds = "geometry", "visibility", "factors", "transport", "pixels"
-    return [table[kind] for table in tables for kind in kinds if table.get(kind)]
+    named = [header["geometry"], header["visibility"], (header["environment"] or {}).get("pixels")]
+    for material in header["materials"]:
+        named += [material.get("factors"), material.get("transport"), *material["weight"]]
+    return [name for name in named if isinstance(name, str)]
 
 
 def read_header(folder: pathlib.Path) -> dict:

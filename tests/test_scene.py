@@ -3,11 +3,12 @@
 import pathlib
 import re
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight import InputError, lambert, load_mesh, load_scene, phong, plane, write_image
+from jaxrelight import InputError, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
 from tests.shared_data import shared
 
 GOOD = """
@@ -306,15 +307,9 @@ def test_scene_without_camera(folder):
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("albedo = 0.5", 'albedo = "wood.png"', "'albedo' as an image is not supported yet"),
-        ("albedo = 0.5", 'albedo = 0.5\nnormal_map = "bumps.png"', "'normal_map' is not supported yet"),
-        ("resolution = 2", "two_sided = true", "two-sided meshes are not supported yet"),
-        ("resolution = 2", 'tangents = "uv"', "UV tangents are not supported yet"),
-        ("resolution = 2", 'materials = {top = "paper"}', "materials by part are not supported yet"),
         ('type = "lambert"', 'type = "measured"', "type 'measured' is not supported yet"),
         ('type = "lambert"', 'type = "fitted"', "type 'fitted' is not supported yet"),
         ('type = "lambert"', 'type = "sbrdf"', "type 'sbrdf' is not supported yet"),
-        ('type = "lambert"', 'type = "ashikhmin_shirley"', "type 'ashikhmin_shirley' is not supported yet"),
         ("[[mesh]]", '[[light]]\ntype = "point"\n[[mesh]]', "[[light]] is not supported yet"),
     ],
 )
@@ -325,6 +320,27 @@ def test_what_is_not_supported_is_refused(folder, old: str, new: str, what: str)
 @pytest.mark.parametrize("text", ["camera = = 1", "[camera", 'a = "b', "[camera]\n[camera]\n", "\x00"])
 def test_invalid_toml(folder, text: str):
     assert "not a TOML file" in _refusal(folder, text)
+
+
+def test_ashikhmin_shirley_material(folder):
+    lines = 'type = "ashikhmin_shirley"\nkd = [0.1, 0.2, 0.3]\nks = 0.75\nnu = 10\nnv = 100.5'
+    assert eqx.tree_equal(_brdf(folder, lines), ashikhmin_shirley([0.1, 0.2, 0.3], 0.75, 10, 100.5))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("kd = 0.5", "kd = 1.5", "'kd' must be from 0 to 1"),
+        ("nu = 10", "nu = -1", "'nu' must be one finite number of at least 0"),
+        ("nu = 10", "", "'nu' is missing"),
+        ("nv = 1", "nvv = 1", "'nvv' is not known; did you mean 'nv'?"),
+    ],
+)
+def test_faults_of_an_ashikhmin_shirley_material_are_named(folder, old: str, new: str, fault: str):
+    lines = 'type = "ashikhmin_shirley"\nkd = 0.5\nks = 0.5\nnu = 10\nnv = 1'
+    message = _refusal(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', _changed(lines, old, new)))
+    assert "[paper]" in message
+    assert fault in message
 
 
 def test_unreadable_scene_files(folder):
@@ -345,7 +361,8 @@ def test_unreadable_scene_files(folder):
         ('primitive = "plane"\nresolution = 2', 'file = "sky.exr"', "sky.exr"),
         ("[[mesh]]", '[environment]\nfile = "none.hdr"\n[[mesh]]', "none.hdr"),
         ("[[mesh]]", '[environment]\nfile = "scene.toml"\n[[mesh]]', "scene.toml"),
-        ("[[mesh]]", '[environment]\nfile = "square.exr"\n[[mesh]]', "square.exr has shape"),
+        ("[[mesh]]", '[environment]\nfile = "square.exr"\nlayout = "cross"\n[[mesh]]', "square.exr is 4 × 4 pixels"),
+        ("[[mesh]]", '[environment]\nfile = "square.exr"\nlayout = "cube"\n[[mesh]]', "layout 'cube' is not known"),
         ("[[mesh]]", '[environment]\nfile = "nan.exr"\n[[mesh]]', "nan.exr has 1 NaN or infinite pixels"),
         ("[[mesh]]", '[environment]\nfile = "sky.exr"\nscale = -1\n[[mesh]]', "rotate_y must be"),
     ],

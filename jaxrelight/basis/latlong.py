@@ -1,4 +1,4 @@
-"""Lat-long maps: directions, rotation, look-up, and resampling to a cube map by area.
+"""Lat-long maps: directions, rotation, look-up, and resampling by area: to other sizes, to a cube map and from one.
 
 The top row looks to +y, the image centre to +z and u = 0.25 to +x. A pixel is a constant cell: light is the integral
 of the map, so resampling weighs every pixel by the solid angle it shares with a texel.
@@ -11,8 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy import sparse
 
 from jaxrelight.basis import cubemap
+from jaxrelight.basis.overlaps import overlaps
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 
 
@@ -49,6 +51,43 @@ def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Ar
     return (1 - part) * jnp.roll(pixels, -whole, axis=1) + part * jnp.roll(pixels, -whole - 1, axis=1)
 
 
+def resized(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "{height} {width} c"]:
+    """The map with another number of rows and columns: every new pixel is the mean over its solid angle."""
+    old_height, old_width, channels = pixels.shape
+    edges = [-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)]
+    by_row = _means(*edges).astype(pixels.dtype) @ pixels.reshape(old_height, -1)
+    by_column = by_row.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
+    edges = [np.linspace(0, 1, count + 1) for count in (width, old_width)]
+    found = _means(*edges).astype(pixels.dtype) @ by_column
+    return np.ascontiguousarray(found.reshape(width, height, channels).swapaxes(0, 1))
+
+
+def _means(new: Float[np.ndarray, " n"], old: Float[np.ndarray, " o"]) -> sparse.csr_array:
+    """The matrix from values on the old intervals to means over the new ones; both are given by their edges."""
+    edges = np.union1d(new, old)
+    middle, length = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    at = [np.clip(np.searchsorted(side, middle) - 1, 0, len(side) - 2) for side in (new, old)]
+    lengths = sparse.csr_array((length, (at[0], at[1])), shape=(len(new) - 1, len(old) - 1))
+    return sparse.csr_array(lengths / np.diff(new)[:, None])
+
+
+def from_cube(faces: Float[np.ndarray, "6 n n c"]) -> Float[np.ndarray, "h w c"]:
+    """The lat-long map of a cube map: every pixel is the mean, by solid angle, of the texels that it touches.
+
+    A texel's solid angle is given out whole, so one hot texel keeps its energy, and a constant map stays constant.
+    Pixels are as fine as texels where n is 256 or more, and four times as fine up to 64, so that little is spread.
+    """
+    resolution, channels = faces.shape[1], faces.shape[-1]
+    height = max(2 * resolution, min(8 * resolution, 512))
+    width = 2 * height
+    flat, sums = faces.reshape(-1, channels).astype(float), np.zeros((height * width, channels))
+    for texel, pixel, shared in overlaps(height, width, resolution):
+        for c in range(channels):
+            sums[:, c] += np.bincount(pixel, shared * flat[texel, c], height * width)
+    means = sums.reshape(height, width, channels) / solid_angles(height, width)[:, None, None]
+    return means.astype(faces.dtype)
+
+
 def look_up(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... c"]:
     """Radiance of the constant cell at image coordinates (u, v)."""
     height, width = pixels.shape[:2]
@@ -80,10 +119,10 @@ class AreaResampling(eqx.Module):
 @functools.lru_cache(maxsize=4)
 def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
     """The resampling from a height × width lat-long map to a 6×resolution×resolution cube map."""
-    texel, pixel, shared = _overlaps(height, width, resolution)
-    weight = shared / cubemap.solid_angles(resolution)[texel]
-    counts = np.bincount(texel, minlength=6 * resolution**2)
-    starts = np.concatenate([[0], np.cumsum(counts)])
+    texel, pixel, shared = (np.concatenate(parts) for parts in zip(*overlaps(height, width, resolution), strict=True))
+    shares = sparse.csr_array((shared, (texel, pixel)), shape=(6 * resolution**2, height * width))
+    starts, pixel, counts = shares.indptr, shares.indices, np.diff(shares.indptr)
+    weight = shares.data / np.repeat(cubemap.solid_angles(resolution), counts)
     capacities = 2 ** np.ceil(np.log2(counts)).astype(int)
     groups, members = [], []
     for capacity in np.unique(capacities):
@@ -95,54 +134,8 @@ def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
         indices = np.where(inside, pixel[entry], 0).astype(np.int32)
         # The result is kept, so it must not be made of a caller's tracers.
         with jax.ensure_compile_time_eval():
-            groups.append(sparse_rows(jnp.asarray(indices), jnp.asarray(values), height * width))
+            groups.append(sparse_rows(indices, values, height * width))
         members.append(rows)
     order = np.argsort(np.concatenate(members), kind="stable").astype(np.int32)
     with jax.ensure_compile_time_eval():
-        return AreaResampling(tuple(groups), jnp.asarray(order))
-
-
-def _overlaps(height: int, width: int, resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Solid angles shared by texels and pixels: (texel, pixel, shared), sorted by texel.
-
-    Along a meridian every border of a texel or pixel is crossed at a known latitude, and the side faces' columns end
-    at meridians. So the integral over latitude is exact, and Gauss's rule between neighbouring meridians does the rest.
-    """
-    edge = np.linspace(-1, 1, resolution + 1)
-    quarter = np.arctan(edge) / (2 * np.pi)
-    meridians = [np.linspace(0, 1, width + 1), np.linspace(0, 1, 32 * resolution + 1)]
-    meridians += [quarter + face for face in (0, 0.25, 0.5, 0.75, 1)]
-    cuts = np.unique(np.concatenate(meridians).clip(0, 1).round(14))
-    middle, half = (cuts[1:] + cuts[:-1]) / 2, (cuts[1:] - cuts[:-1]) / 2
-    u = (middle + half * np.array([[-1], [1]]) / np.sqrt(3)).T.ravel()
-    weight = np.repeat(half, 2) * 2 * np.pi
-
-    longitude = 2 * np.pi * (0.5 - u)
-    sine, cosine = np.abs(np.sin(longitude))[:, None], np.abs(np.cos(longitude))[:, None]
-    side = np.maximum(sine, cosine)
-    # tan(latitude) of the borders: of side faces' rows, then of the grid on the caps, then of lat-long rows.
-    inner = edge[edge > 1e-9]
-    cap = np.concatenate([np.minimum(sine / inner, 1e9), np.minimum(cosine / inner, 1e9)], axis=1)
-    cap = np.maximum(cap, side)
-    rows = np.broadcast_to(np.pi / 2 - np.linspace(0, np.pi, height + 1), (u.size, height + 1))
-    latitude = np.concatenate([np.arctan(edge * side), np.arctan(cap), -np.arctan(cap), rows], axis=1)
-    latitude = -np.sort(-latitude, axis=1)
-    middle = (latitude[:, 1:] + latitude[:, :-1]) / 2
-    shared = (np.sin(latitude[:, :-1]) - np.sin(latitude[:, 1:])) * weight[:, None]
-
-    v = 0.5 - middle / np.pi
-    texel = cubemap.texel_of(directions(np.broadcast_to(u[:, None], v.shape), v), resolution)
-    pixel = np.minimum((v * height).astype(int), height - 1) * width + (u * width).astype(int)[:, None]
-    some = shared > 1e-15
-    key, inverse = np.unique(texel[some] * (height * width) + pixel[some], return_inverse=True)
-    shared = np.bincount(inverse, shared[some])
-    texel, pixel = key // (height * width), key % (height * width)
-    # Balance what the rule left, by turns, until each pixel and each texel has its own solid angle.
-    texel_area, pixel_area = cubemap.solid_angles(resolution), np.repeat(solid_angles(height, width), width)
-    for _ in range(60):
-        shared *= (pixel_area / np.bincount(pixel, shared, pixel_area.size))[pixel]
-        excess = texel_area / np.bincount(texel, shared, texel_area.size)
-        shared *= excess[texel]
-        if np.abs(excess - 1).max() < 1e-6:
-            break
-    return texel, pixel, shared
+        return AreaResampling(tuple(groups), jax.device_put(order))

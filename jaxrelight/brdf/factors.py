@@ -1,26 +1,36 @@
-"""Separable factors of a BRDF by singular value decomposition (Wang 2006 §3.3)."""
+"""Separable factors of a BRDF (Wang 2006 §3.3): the forms, and the one entry to them."""
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Literal, overload
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 import scipy.sparse.linalg
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.parametrisation import DISC, Parametrisation, look_up
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.errors import InputError
 
+Form = Literal["svd", "symmetric", "normalised"]
+
+# Pairs of directions that are evaluated at a time, bytes of a matrix in double precision, and of any.
+_BLOCK, _DOUBLE, _LARGEST = 2**21, 2**28, 3 * 2**29
+
 
 class Factored(Reflection):
-    """k light maps and k view maps over the disc of projected directions (eq. 10), looked up bilinearly.
+    """k light maps and k view maps over the hemisphere, looked up bilinearly.
 
-    Map texels are in the order y, x of the local direction's (x + 1)/2, (y + 1)/2.
+    Map texels are in the order y, x of the parametrisation; the disc's are (x + 1)/2, (y + 1)/2 of the local direction.
     """
 
     light_maps: Float[Array, "k c1 r r"]
     view_maps: Float[Array, "k c r r"]
+    parametrisation: Parametrisation = DISC
 
     @property
     def channels(self) -> int:
@@ -34,87 +44,257 @@ class Factored(Reflection):
 
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
         """g_k(ω_i)."""
-        return _look_up(self.light_maps, omega_i)
+        return look_up(self.parametrisation, self.light_maps, omega_i)
 
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """h_k(ω_o)."""
-        return _look_up(self.view_maps, omega_o)
+        return look_up(self.parametrisation, self.view_maps, omega_o)
 
     @property
     def per_receiver(self) -> "Factored":
         """All receivers share the maps."""
-        return Factored(False, False)  # pyright: ignore[reportArgumentType]
+        return Factored(False, False, self.parametrisation)  # pyright: ignore[reportArgumentType]
 
 
-def _look_up(maps: Float[Array, "k c r r"], omega: Float[Array, "3"]) -> Float[Array, "k c"]:
-    k, c, r, _ = maps.shape
-    if r == 1:
-        return maps[:, :, 0, 0]
-    flat = maps.reshape(k, c, r * r)
-    x, y = ((omega[axis] + 1) * (r / 2) - 0.5 for axis in (0, 1))
-    column, row = (jnp.clip(jnp.floor(p), 0, r - 2) for p in (x, y))
-    u, v = jnp.clip(x - column, 0, 1), jnp.clip(y - row, 0, 1)
-    corner = (row * r + column).astype(jnp.int32)
+class Symmetric(Reflection):
+    """k maps that serve both sides and a sign for each, so that the sum is reciprocal whatever is left out of it."""
 
-    def texel(offset):
-        return flat.at[:, :, corner + offset].get(mode="promise_in_bounds")
+    maps: Float[Array, "k c r r"]
+    signs: Float[Array, "k c"]
+    parametrisation: Parametrisation = DISC
 
-    top = (1 - u) * texel(0) + u * texel(1)
-    return (1 - v) * top + v * ((1 - u) * texel(r) + u * texel(r + 1))
+    @property
+    def channels(self) -> int:
+        """Those of the BRDF."""
+        return self.maps.shape[1]
+
+    @property
+    def terms(self) -> int:
+        """k, the number of maps."""
+        return self.maps.shape[0]
+
+    def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
+        """q_k(ω_i)."""
+        return look_up(self.parametrisation, self.maps, omega_i)
+
+    def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
+        """sign_k · q_k(ω_o)."""
+        return self.signs * look_up(self.parametrisation, self.maps, omega_o)
+
+    @property
+    def per_receiver(self) -> "Symmetric":
+        """All receivers share the maps."""
+        return Symmetric(False, False, self.parametrisation)  # pyright: ignore[reportArgumentType]
 
 
-def factor(brdf: Brdf, terms: int = 4, resolution: int = 48) -> Factored:
-    """The best `terms` products of a BRDF sampled on a disc, for each channel by itself.
+@overload
+def factor(
+    brdf: Brdf,
+    terms: int = 4,
+    resolution: int = 48,
+    *,
+    form: Literal["svd", "normalised"] = "svd",
+    parametrisation: Parametrisation = DISC,
+    cosine: tuple[float, float] = (0.0, 0.0),
+) -> Factored: ...
+@overload
+def factor(
+    brdf: Brdf,
+    terms: int = 4,
+    resolution: int = 48,
+    *,
+    form: Form,
+    parametrisation: Parametrisation = DISC,
+    cosine: tuple[float, float] = (0.0, 0.0),
+) -> Factored | Symmetric: ...
+def factor(
+    brdf: Brdf,
+    terms: int = 4,
+    resolution: int = 48,
+    *,
+    form: Form = "svd",
+    parametrisation: Parametrisation = DISC,
+    cosine: tuple[float, float] = (0.0, 0.0),
+) -> Factored | Symmetric:
+    """A BRDF as a sum of products of maps, for each channel by itself.
 
-    Directions are sampled at the texel centres of a resolution² map of the unit disc (§4). On the disc, equal areas
-    are equal projected solid angles, so the error that the SVD minimises is weighted by both cosines. √σ goes to
-    either side. Texels beyond the disc's edge, which bilinear look-ups near the horizon touch, are continued by
-    applying the BRDF at the edge to the other side's singular vectors (Nyström's extension). A BRDF that is the same
-    in all directions becomes one term of one texel, exactly. Not differentiable: the maps are.
+    Directions are sampled at the texel centres of a resolution² map (§4), each weighted by the projected solid angle
+    of its texel, that is by its cosine. Texels off the hemisphere are continued by applying the BRDF at its edge to
+    the other side's maps (Nyström's extension). A BRDF that is the same in all directions becomes one term of one
+    texel, exactly. Not differentiable: the maps are. Matrices above 256 MB are factored in single precision.
+
+    Args:
+        brdf: what to factor.
+        terms: K, the number of products.
+        resolution: side of the maps.
+        form: "svd", the products of least squared error (§3.3.1), √σ on either side; "symmetric", the same for a
+            reciprocal BRDF by its eigenvectors, one map and a sign for each term; "normalised", a single term of
+            light-side reflectance times the mean distribution over the view (Kautz and McCool 1999), non-negative.
+        parametrisation: of the maps: `DISC` (eq. 10) or `POLAR` (eq. 11).
+        cosine: powers of cosθ_i and of cosθ_o by which the error that is minimised is multiplied; the maps are those
+            of the BRDF itself all the same. (0, 0) leaves the cosine out as the paper does, (1, 0) folds it in as Liu
+            et al. 2004 do.
 
     Raises:
-        InputError: if more terms are asked for than the disc has directions.
+        InputError: if more terms are asked for than the map has directions, or than a form has; if the matrix would
+            take more than 1.5 GB; if the symmetric form is asked of a BRDF that is not reciprocal, or with two
+            different powers of the cosine.
     """
+    if form not in _FORMS:
+        raise InputError(f"the form of factors is '{form}'; known are {', '.join(_FORMS)}")
     if brdf.is_constant:
         up = jnp.asarray([0.0, 0.0, 1.0])
         value = brdf.evaluate(up, up)[None, :, None, None]
-        return Factored(jnp.ones_like(value[:, :1]), value)
-    centre = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
-    x, y = (grid.ravel() for grid in np.meshgrid(centre, centre))
-    radius = np.hypot(x, y)
-    inside = radius < 1
-    if not 1 <= terms <= inside.sum():
-        raise InputError(f"{terms} terms cannot be had from {inside.sum()} directions; ask for fewer")
-    shrink = np.where(inside, 1, (1 - 1e-6) / radius)
-    x, y = x * shrink, y * shrink
-    omega = jnp.asarray(np.stack([x, y, np.sqrt(np.maximum(0, 1 - x * x - y * y))], axis=-1))
-    matrix = _sampled(brdf, omega, omega[inside])
-    light_rest = _sampled(brdf, omega[~inside], omega[inside])
-    view_rest = _sampled(brdf, omega[inside], omega[~inside])
+        if form == "symmetric":
+            return Symmetric(jnp.sqrt(jnp.abs(value)), jnp.sign(value[:, :, 0, 0]), parametrisation)
+        return Factored(jnp.ones_like(value[:, :1]), value, parametrisation)
+    samples = _Samples(brdf, parametrisation, resolution, cosine)
+    count = len(samples.omega)
+    if not 1 <= terms <= count:
+        raise InputError(f"{terms} terms cannot be had from {count} directions; ask for fewer")
+    return _FORMS[form](samples, terms)
 
-    light = np.zeros((terms, len(matrix), resolution**2))
+
+class _Samples:
+    """A BRDF between the texels of a map: the weighted matrix of a channel, and products with unweighted rows."""
+
+    def __init__(self, brdf: Brdf, parametrisation: Parametrisation, side: int, cosine: tuple[float, float]):
+        omega, self.inside = parametrisation.directions(side)
+        count = int(self.inside.sum())
+        if count**2 * 4 > _LARGEST:
+            raise InputError(f"factors of resolution {side} need {count**2 * 4 / 2**30:.1f} GiB; ask for at most 128")
+        self.brdf, self.parametrisation, self.side, self.cosine = brdf, parametrisation, side, cosine
+        self.dtype = jax.dtypes.canonicalize_dtype(float)
+        self.every, self.omega, self.rest = omega, omega[self.inside], omega[~self.inside]
+        root = np.sqrt(parametrisation.measure(side)[self.inside])
+        self.light, self.view = (root * self.omega[:, 2] ** power for power in cosine)
+        self.channels, self._alike = brdf.channels, None
+
+    def matrix(self, channel: int) -> np.ndarray:
+        """Weighted values [i, o] of one channel."""
+        n = len(self.omega)
+        values = np.empty((n, n), np.float64 if n * n * 8 <= _DOUBLE else np.float32)
+        alike = np.ones((self.channels, self.channels), bool)
+        for rows, block, same in self._blocks(self.omega, self.omega, channel):
+            values[rows] = block
+            values[rows] *= self.light[rows, None] * self.view
+            alike &= same
+        self._alike = alike
+        return values
+
+    def like(self, channel: int) -> int:
+        """The first channel whose matrix is the same; `matrix` has been asked for an earlier one."""
+        return channel if self._alike is None else int(np.argmax(self._alike[channel]))
+
+    def times(self, channel: int, omega: np.ndarray, vectors: np.ndarray, *, swapped: bool = False) -> np.ndarray:
+        """Σ_o f(ω, ω_o) vectors_o of any directions, or Σ_i f(ω_i, ω) vectors_i where swapped: [ω, vectors]."""
+        products = np.zeros((len(omega), vectors.shape[1]))
+        for rows, block, _ in self._blocks(omega, self.omega, channel, swapped):
+            products[rows] = block.astype(float) @ vectors
+        return products
+
+    def _blocks(self, omega, other, channel, swapped=False) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Values [rows, other] of a few rows at a time, and which channels are alike in them."""
+        size = max(1, min(len(omega), _BLOCK // len(other)))
+        other, channel = jnp.asarray(other, self.dtype), jnp.asarray(channel)
+        for start in range(0, len(omega), size):
+            # The last block overlaps the one before it, so that all are of one shape.
+            start = min(start, len(omega) - size)
+            rows = slice(start, start + size)
+            block, same = _evaluate(self.brdf, jnp.asarray(omega[rows], self.dtype), other, channel, swapped)
+            yield rows, np.asarray(block), np.asarray(same)
+
+    def maps(self, values: np.ndarray) -> Array:
+        """Texels [k, c, t] as maps."""
+        k, c, _ = values.shape
+        return jnp.asarray(values.reshape(k, c, self.side, self.side), self.dtype)
+
+
+@eqx.filter_jit
+def _evaluate(brdf: Brdf, omega, other, channel, swapped: bool):
+    over_other = jax.vmap(brdf.evaluate, in_axes=(0, None) if swapped else (None, 0))
+
+    def row(one):
+        return over_other(other, one) if swapped else over_other(one, other)
+
+    values = jax.lax.map(row, omega)
+    same = jnp.all(values[..., :, None] == values[..., None, :], axis=(0, 1))
+    return jnp.take(values, channel, axis=-1), same
+
+
+def _svd(samples: _Samples, terms: int) -> Factored:
+    light = np.zeros((terms, samples.channels, samples.side**2))
     view = np.zeros_like(light)
-    for c in range(len(matrix)):
-        same = next((b for b in range(c) if np.array_equal(matrix[b], matrix[c])), None)
-        if same is not None:
-            light[:, c], view[:, c] = light[:, same], view[:, same]
+    inside = samples.inside
+    for c in range(samples.channels):
+        first = samples.like(c)
+        if first < c:
+            light[:, c], view[:, c] = light[:, first], view[:, first]
             continue
-        u, sigma, v = _largest_singular(matrix[c][inside], terms)
-        root = np.sqrt(sigma)
-        over_root = np.where(sigma > 1e-12 * sigma[0], 1 / np.where(root > 0, root, 1), 0)
-        light[:, c, inside] = root[:, None] * u.T
-        view[:, c, inside] = root[:, None] * v.T
-        light[:, c, ~inside] = over_root[:, None] * (light_rest[c] @ v).T
-        view[:, c, ~inside] = over_root[:, None] * (view_rest[c].T @ u).T
-    shape = (terms, len(matrix), resolution, resolution)
-    return Factored(jnp.asarray(light.reshape(shape), omega.dtype), jnp.asarray(view.reshape(shape), omega.dtype))
+        u, sigma, v = _largest_singular(samples.matrix(c), terms)
+        root, over_root = _roots(sigma)
+        light[:, c, inside] = (root * u / samples.light[:, None]).T
+        view[:, c, inside] = (root * v / samples.view[:, None]).T
+        light[:, c, ~inside] = (over_root * samples.times(c, samples.rest, samples.view[:, None] * v)).T
+        view[:, c, ~inside] = (over_root * samples.times(c, samples.rest, samples.light[:, None] * u, swapped=True)).T
+    return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
 
 
-def _sampled(brdf: Brdf, omega_i: Array, omega_o: Array) -> np.ndarray:
-    """BRDF values [c, i, o]."""
-    over_o = jax.vmap(brdf.evaluate, in_axes=(None, 0))
-    values = jax.jit(lambda i, o: jax.lax.map(lambda one: over_o(one, o), i))(omega_i, omega_o)
-    return np.moveaxis(np.asarray(values, float), -1, 0)
+def _symmetric(samples: _Samples, terms: int) -> Symmetric:
+    """M = Q D Qᵀ: √|D| Q on both sides, and the sign of D. The singular values are |D|."""
+    if samples.cosine[0] != samples.cosine[1]:
+        raise InputError("the symmetric form needs the same power of the cosine on both sides")
+    maps = np.zeros((terms, samples.channels, samples.side**2))
+    signs = np.zeros((terms, samples.channels))
+    inside = samples.inside
+    for c in range(samples.channels):
+        first = samples.like(c)
+        if first < c:
+            maps[:, c], signs[:, c] = maps[:, first], signs[:, first]
+            continue
+        matrix = samples.matrix(c)
+        if _asymmetry(matrix) > 1e-3:
+            raise InputError("the symmetric form needs a reciprocal BRDF, and this one is not; use the form 'svd'")
+        value, q = _largest_eigen(matrix, terms)
+        root, over_root = _roots(np.abs(value))
+        signs[:, c] = np.sign(value)
+        maps[:, c, inside] = (root * q / samples.light[:, None]).T
+        weighted = signs[:, c] * over_root * samples.times(c, samples.rest, samples.light[:, None] * q)
+        maps[:, c, ~inside] = weighted.T
+    return Symmetric(samples.maps(maps), jnp.asarray(signs, samples.dtype), samples.parametrisation)
+
+
+def _normalised(samples: _Samples, terms: int) -> Factored:
+    """Takes g = mean of f over ω_o and h = mean of f/g over ω_i: exact where f is a product, and never negative."""
+    if terms != 1:
+        raise InputError(f"the normalised form has one term, not {terms}")
+    inside = samples.inside
+    light = np.zeros((1, samples.channels, samples.side**2))
+    view = np.zeros_like(light)
+    over_i, over_o = (weight**2 / np.sum(weight**2) for weight in (samples.light, samples.view))
+    for c in range(samples.channels):
+        light[0, c] = samples.times(c, samples.every, over_o[:, None])[:, 0]
+        mean = light[0, c, inside]
+        shares = np.where(mean > 0, over_i / np.where(mean > 0, mean, 1), 0)
+        view[0, c] = samples.times(c, samples.every, shares[:, None], swapped=True)[:, 0]
+    return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
+
+
+_FORMS = {"svd": _svd, "symmetric": _symmetric, "normalised": _normalised}
+
+
+def _roots(sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """√σ, and its inverse where σ is more than rounding."""
+    root = np.sqrt(sigma)
+    good = sigma > 1e-12 * sigma[0]
+    return root, np.where(good, 1 / np.where(good, root, 1), 0)
+
+
+def _asymmetry(matrix: np.ndarray, rows: int = 256) -> float:
+    """Largest |M − Mᵀ| over largest |M|."""
+    starts = range(0, len(matrix), rows)
+    apart = max(np.abs(matrix[s : s + rows] - matrix[:, s : s + rows].T).max() for s in starts)
+    return apart / max(np.abs(matrix[s : s + rows]).max() for s in starts)
 
 
 def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -123,7 +303,23 @@ def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.nd
         u, sigma, vt = np.linalg.svd(matrix)
         u, sigma, vt = u[:, :terms], sigma[:terms], vt[:terms]
     else:
-        found: Any = scipy.sparse.linalg.svds(matrix, terms, v0=np.ones(min(matrix.shape)), rng=0)
+        found: Any = scipy.sparse.linalg.svds(matrix, terms, v0=_start(matrix), rng=0)
         u, sigma, vt = found[0][:, ::-1], found[1][::-1], found[2][::-1]
     sign = np.where(u.sum(axis=0) < 0, -1, 1)
     return u * sign, sigma, vt.T * sign
+
+
+def _largest_eigen(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """(eigenvalues [k], vectors [n, k]) by falling magnitude, with signs such that every vector sums to at least 0."""
+    if terms > len(matrix) // 4:
+        value, q = scipy.linalg.eigh(matrix)
+    else:
+        value, q = scipy.sparse.linalg.eigsh(matrix, terms, v0=_start(matrix))
+    order = np.argsort(-np.abs(value), kind="stable")[:terms]
+    value, q = value[order], q[:, order]
+    return value, q * np.where(q.sum(axis=0) < 0, -1, 1)
+
+
+def _start(matrix: np.ndarray) -> np.ndarray:
+    """A vector to iterate from: of no symmetry, since iteration would keep it and miss vectors that lack it."""
+    return np.random.default_rng(0).standard_normal(min(matrix.shape)).astype(matrix.dtype)

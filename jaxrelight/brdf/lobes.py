@@ -34,12 +34,12 @@ class LobeSum(Brdf):
     @property
     def channels(self) -> int:
         """c, the number of colour channels."""
-        return self.diffuse.shape[0]
+        return self.diffuse.shape[-1]
 
     @property
     def is_constant(self) -> bool:
         """True without lobes."""
-        return self.C.shape[0] == 0
+        return self.C.shape[-3] == 0
 
 
 def lambert(albedo) -> LobeSum:

@@ -5,10 +5,11 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 
-_KINDS = {kind.__name__: kind for kind in (LobeSum,)}
+_KINDS = {kind.__name__: kind for kind in (LobeSum, AshikhminShirley)}
 
 
 def to_record(brdf: Brdf) -> dict:

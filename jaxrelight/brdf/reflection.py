@@ -42,10 +42,19 @@ class Reflection(eqx.Module):
 
 
 class FixedView(Reflection):
-    """The exact BRDF for receivers whose direction to the eye is known: one term, all of it on the light side."""
+    """The exact BRDF for receivers whose direction to the eye is known: one term, all of it on the light side.
+
+    Where parameters of the BRDF vary from receiver to receiver, `own` holds those arrays and `brdf` the others, as
+    `eqx.partition` parts them.
+    """
 
     brdf: Brdf
     omega_o: Float[Array, "*v 3"]
+    own: Brdf | None = None
+
+    @property
+    def _whole(self) -> Brdf:
+        return self.brdf if self.own is None else eqx.combine(self.own, self.brdf)
 
     @property
     def terms(self) -> int:
@@ -55,11 +64,11 @@ class FixedView(Reflection):
     @property
     def channels(self) -> int:
         """Those of the BRDF."""
-        return self.brdf.channels
+        return self._whole.channels
 
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "1 c"]:
         """f(ω_i, ω_o) itself; 0 where the eye is below the surface."""
-        value = self.brdf.evaluate(omega_i, self.omega_o)
+        value = self._whole.evaluate(omega_i, self.omega_o)
         return jnp.where(self.omega_o[2] > 0, value, 0)[None]
 
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:
@@ -68,8 +77,8 @@ class FixedView(Reflection):
 
     @property
     def per_receiver(self) -> "FixedView":
-        """Every receiver has its own ω_o; all share the BRDF."""
-        return FixedView(False, True)  # pyright: ignore[reportArgumentType]
+        """Every receiver has its ω_o and its `own` parameters; all share the others."""
+        return FixedView(False, True, True)  # pyright: ignore[reportArgumentType]
 
 
 def of_group(reflection: Reflection, group: int) -> Reflection:

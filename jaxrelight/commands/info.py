@@ -1,9 +1,14 @@
 """jaxrelight info: what a store, scene or image is."""
 
+import collections
 import dataclasses
 import pathlib
+from typing import TYPE_CHECKING
 
 import tyro
+
+if TYPE_CHECKING:
+    from jaxrelight.brdf.material import Material
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,35 +38,35 @@ def _store(path: pathlib.Path) -> dict:
 
     from jaxrelight import store
     from jaxrelight.commands.relight import describe
-    from jaxrelight.geometry.receivers import GROUP
     from jaxrelight.transport.load import load
 
     header = store.read_header(path)
     transport, used = load(path, header), set(store.layers_of(header))
     layers = sorted(folder for folder in path.iterdir() if folder.is_dir())
-    terms = {name: reflection.terms for name, reflection in zip(transport.names, transport.reflections, strict=True)}
+    terms = collections.Counter()
+    for block in transport.blocks:
+        terms[block.material] += block.reflection.terms
     summary = {
         "kind": "store",
         "store": str(path),
         "scene": header["scene"],
         "receivers": transport.receivers.count,
-        "rows": sum(
-            len(groups) * GROUP * reflection.terms
-            for groups, reflection in zip(transport.groups, transport.reflections, strict=True)
-        ),
-        "materials": terms,
+        "rows": transport.operator.shape[0],
+        "materials": dict(terms),
         "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
         **describe(transport),
     }
-    if transport.dropped:
+    dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
+    if dropped:
         # Under light of root-mean-square radiance 1 over the texels, no row is further off than this.
-        worst = max(float(np.sqrt(part.max())) for part in transport.dropped)
+        worst = max(float(np.sqrt(part.max())) for part in dropped)
         summary["largest_error_for_unit_light"] = worst * (6 * transport.settings.resolution**2) ** 0.5
     return summary
 
 
 def _scene(path: pathlib.Path) -> dict:
+    from jaxrelight.brdf.material import as_material
     from jaxrelight.commands.progress import notes
     from jaxrelight.scene import load_scene
 
@@ -80,10 +85,16 @@ def _scene(path: pathlib.Path) -> dict:
             for i, part in enumerate(scene.parts)
         },
         "vertices": sum(len(part.mesh.vertices) for part in scene.parts),
-        "materials": {name: "diffuse" if brdf.is_constant else "glossy" for name, brdf in scene.materials.items()},
+        "materials": {name: _kind(as_material(surface)) for name, surface in scene.materials.items()},
         "camera": {"width": camera.width, "height": camera.height, "fov_y": camera.fov_y},
         "environment": sky and {"width": sky.pixels.shape[1], "height": sky.pixels.shape[0]},
     }
+
+
+def _kind(material: "Material") -> str:
+    """A material in a word or two."""
+    kind = "diffuse" if all(component.brdf.is_constant for component in material.components) else "glossy"
+    return f"{kind}, textured" if material.needs_uv else kind
 
 
 def _image(path: pathlib.Path) -> dict:

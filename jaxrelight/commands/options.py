@@ -50,7 +50,9 @@ class LightOptions:
     """The light; what is not given is the scene's."""
 
     env: pathlib.Path | None = None
-    """A lat-long environment map: .exr, .hdr or .png."""
+    """A picture of the whole sphere: .exr, .hdr, .png or .jpg."""
+    layout: Literal["auto", "latlong", "strip", "cross"] = "auto"
+    """How that picture shows it: as a lat-long map, or as cube faces in a strip or a cross."""
     rotate_y: float | None = None
     """Degrees that it is turned about +y, counter-clockwise seen from above."""
     scale: float | None = None
@@ -70,8 +72,11 @@ class LightOptions:
                 self.env,
                 self.rotate_y or 0.0,
                 1.0 if self.scale is None else self.scale,
+                layout=self.layout,
                 zero_nonfinite=self.zero_nonfinite,
             )
+        if self.layout != "auto":
+            raise InputError("--layout says how --env MAP is read; give both, or set 'layout' in the scene")
         if default is None:
             raise InputError("the scene has no environment; name one with --env MAP")
         return dataclasses.replace(

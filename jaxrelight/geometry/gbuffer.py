@@ -19,9 +19,12 @@ class GBuffer:
         directions: unit world direction through every pixel.
         corners: vertex numbers of the face seen.
         barycentric: weights of its corners.
+        back: whether the back of a two-sided mesh is seen; all normals are that side's.
         normals: interpolated unit shading normals.
         face_normals: unit geometric normals.
+        tangents: interpolated, see `Surfaces.tangents`.
         positions: in scene space.
+        uv: texture coordinates.
         mesh: number of the mesh seen.
         omega_o: unit direction back to the eye.
     """
@@ -30,9 +33,12 @@ class GBuffer:
     directions: Float[np.ndarray, "h w 3"]
     corners: Int[np.ndarray, "p 3"]
     barycentric: Float[np.ndarray, "p 3"]
+    back: Bool[np.ndarray, " p"]
     positions: Float[np.ndarray, "p 3"]
     normals: Float[np.ndarray, "p 3"]
     face_normals: Float[np.ndarray, "p 3"]
+    tangents: Float[np.ndarray, "p 3"]
+    uv: Float[np.ndarray, "p 2"]
     mesh: Int[np.ndarray, " p"]
     omega_o: Float[np.ndarray, "p 3"]
 
@@ -46,17 +52,28 @@ def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer
     covered = face >= 0
     face, weights = face[covered], weights[covered]
     corners = surfaces.faces[face]
-    normal = np.einsum("pk,pkx->px", weights, surfaces.normals[corners])
+    mesh = surfaces.mesh_of_vertex[corners[:, 0]]
+
+    def interpolated(values):
+        return np.einsum("pk,pkx->px", weights, values[corners])
+
+    normal = interpolated(surfaces.normals)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     face_normal = surfaces.face_normals(face)
+    normal = np.where(length > 1e-9, normal / np.maximum(length, 1e-9), face_normal)
+    back = surfaces.two_sided[mesh] & (np.sum(face_normal * flat[covered], axis=1) > 0)
+    side = np.where(back, -1.0, 1.0)[:, None]
     return GBuffer(
         covered=covered.reshape(directions.shape[:2]),
         directions=directions,
         corners=corners,
         barycentric=weights,
-        positions=np.einsum("pk,pkx->px", weights, surfaces.vertices[corners]),
-        normals=np.where(length > 1e-9, normal / np.maximum(length, 1e-9), face_normal),
-        face_normals=face_normal,
-        mesh=surfaces.mesh_of_vertex[corners[:, 0]],
+        back=back,
+        positions=interpolated(surfaces.vertices),
+        normals=side * normal,
+        face_normals=side * face_normal,
+        tangents=interpolated(surfaces.tangents),
+        uv=interpolated(surfaces.uv),
+        mesh=mesh,
         omega_o=-flat[covered],
     )

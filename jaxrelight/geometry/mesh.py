@@ -5,16 +5,19 @@ import dataclasses
 import logging
 import pathlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import ArrayLike, Float, Int
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.file_materials import FileMaterial
 from jaxrelight.geometry.mesh_files import READERS
-from jaxrelight.geometry.repair import LARGEST_COORDINATE, area_vectors, repaired, unit
+from jaxrelight.geometry.raw_mesh import RawMesh
+from jaxrelight.geometry.repair import LARGEST_COORDINATE, Repaired, area_vectors, repaired, unit
 
 _UNREAD = "string or file could not be read to its end"  # numpy warns so, then returns what it had
+_FARTHEST_UV = 1e6  # beyond, float32 does not tell texels apart
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,16 +29,37 @@ class Mesh:
         faces: vertex numbers, counter-clockwise seen from the front.
         normals: unit shading normals.
         notes: one line for each repair made while reading, and for each doubt left.
+        uv: texture coordinates, u rightwards and v upwards, repeating beyond 0 … 1; None where there are none.
+        two_sided: whether the back is a surface like the front; else it is black.
+        uv_tangents: whether tangent frames follow u instead of Wang 2006 §3.3.2.
     """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     normals: Float[np.ndarray, "v 3"]
     notes: tuple[str, ...] = ()
+    uv: Float[np.ndarray, "v 2"] | None = None
+    two_sided: bool = False
+    uv_tangents: bool = False
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MeshPart:
+    """The faces of one material of a mesh file.
+
+    Attributes:
+        mesh: those faces.
+        name: the material's.
+        material: what the file says of it, if anything.
+    """
+
+    mesh: Mesh
+    name: str
+    material: FileMaterial | None
 
 
 def load_mesh(path: str | pathlib.Path) -> Mesh:
-    """Reads a PLY, OBJ or STL file and repairs what can be repaired without guessing.
+    """Reads a PLY, OBJ, STL, GLB or glTF file as one mesh and repairs what can be repaired without guessing.
 
     Identical vertices (equal position, and equal texture coordinate and normal where the file has them) become one.
     Normals are the file's, else the mean of the adjacent faces' weighted by their angles. Faces without area, with
@@ -46,26 +70,78 @@ def load_mesh(path: str | pathlib.Path) -> Mesh:
     Raises:
         InputError: the file is missing, cut short, malformed, or more than half of its faces are unusable.
     """
+    raw, good = _load(path)
+    uv, missing, part = raw.uv[good.source], _missing_uv(raw.uv[good.source]), raw.part[good.source]
+    partly = np.flatnonzero(np.bincount(part, ~missing) * np.bincount(part, missing))
+    notes = [_uv_note(missing[part == number]) for number in partly]
+    uv = None if missing.all() else np.where(missing[:, None], 0, uv)
+    return Mesh(good.vertices, good.faces, good.normals, (*good.notes, *notes), uv)
+
+
+def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
+    """Reads a file as `load_mesh` does, as a mesh for each of its materials; the first one has the file's notes.
+
+    Raises:
+        InputError: as `load_mesh` does.
+    """
+    raw, good = _load(path)
+    part_of_vertex = raw.part[good.source]
+    part_of_face = part_of_vertex[good.faces[:, 0]]
+    found = []
+    for number, part in enumerate(raw.parts):
+        mine = np.flatnonzero(part_of_vertex == number)
+        if not len(mine):
+            continue
+        place = np.zeros(len(part_of_vertex), np.int64)
+        place[mine] = np.arange(len(mine))
+        uv = raw.uv[good.source[mine]]
+        missing = _missing_uv(uv)
+        uv = None if missing.all() else np.where(missing[:, None], 0, uv)
+        notes = list(good.notes if not found else ())
+        notes += [f"{part.name}: {_uv_note(missing)}"] if missing.any() and uv is not None else []
+        mesh = Mesh(
+            good.vertices[mine], place[good.faces[part_of_face == number]], good.normals[mine], tuple(notes), uv
+        )
+        two_sided = part.material is not None and part.material.two_sided
+        found.append(MeshPart(dataclasses.replace(mesh, two_sided=two_sided), part.name, part.material))
+    return found
+
+
+def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:
     path = pathlib.Path(path)
     read = READERS.get(path.suffix.lower())
     if read is None:
-        raise InputError(_line(f"{path}: unknown mesh format '{path.suffix}'; use .ply, .obj or .stl"))
+        known = f"{', '.join(list(READERS)[:-1])} or {list(READERS)[-1]}"
+        raise InputError(_line(f"{path}: unknown mesh format '{path.suffix}'; use {known}"))
     try:
+        if path.exists() and not path.is_file():  # reading a pipe or a device could wait or go on for ever
+            raise OSError("it is not a regular file")
         data = path.read_bytes()
     except (OSError, ValueError) as fault:
         reason = getattr(fault, "strerror", None) or fault
         raise InputError(_line(f"{path}: cannot be read ({reason}); check the path")) from None
     try:
         with _quiet():
-            return Mesh(*repaired(read(data)))
+            raw = read(data, path.parent)
+            return raw, repaired(raw)
     except InputError as fault:
         raise InputError(_line(f"{path}: {fault}")) from None
+    except MemoryError as fault:
+        raise InputError(_line(f"{path}: is larger than the free memory; simplify the mesh")) from fault
     except Exception as fault:  # whatever a parser trips over is a fault of the file
         name = path.suffix[1:].upper()
         reason = _line(f"{fault}")[:160] or type(fault).__name__
         if _UNREAD in reason:
             reason = "something else where a number belongs"
         raise InputError(_line(f"{path}: damaged or no {name} file ({reason}); export it again")) from fault
+
+
+def _missing_uv(uv: Float[np.ndarray, "v 2"]) -> Bool[np.ndarray, " v"]:
+    return np.logical_not(np.abs(uv).max(axis=1) <= _FARTHEST_UV)  # true for NaN
+
+
+def _uv_note(missing: Bool[np.ndarray, " v"]) -> str:
+    return f"texture coordinates are missing at {missing.sum():,} of {len(missing):,} vertices; (0, 0) is taken"
 
 
 def bounds(mesh: Mesh) -> Float[np.ndarray, "2 3"]:
@@ -78,15 +154,26 @@ def face_normals(mesh: Mesh) -> Float[np.ndarray, "f 3"]:
     return unit(area_vectors(mesh.vertices[mesh.faces]), np.array([0.0, 1.0, 0.0]))
 
 
-def normalized(mesh: Mesh, size: float) -> Mesh:
+def joint_bounds(meshes: Sequence[Mesh]) -> Float[np.ndarray, "2 3"]:
+    """Lowest and highest corner of the box around several meshes."""
+    corners = np.concatenate([bounds(mesh) for mesh in meshes])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
+
+
+def normalized(mesh: Mesh, size: float, frame: Float[np.ndarray, "2 3"] | None = None) -> Mesh:
     """The mesh with its longest side `size` metres long, standing on y = 0, centred in x and z.
+
+    Args:
+        mesh: what to move and scale.
+        size: in metres.
+        frame: the box whose longest side it is that counts; by default the mesh's own.
 
     Raises:
         InputError: `size` is not a positive number, or the mesh is a single point.
     """
     if not (isinstance(size, int | float) and 0 < size < LARGEST_COORDINATE):
         raise InputError(f"normalize is {size!r}; give the longest side as a positive number of metres")
-    low, high = bounds(mesh)
+    low, high = bounds(mesh) if frame is None else frame
     longest = (high - low).max()
     if not longest > 0:
         raise InputError("a mesh without extent cannot be normalized; leave `normalize` out")

@@ -15,7 +15,7 @@ MOST_QUADS = 2**24  # more is a slip of the pen: 800 MB a plane
 
 
 def plane(size: Sequence[float] | np.ndarray = (1.0, 1.0), resolution: int | Sequence[int] | np.ndarray = 64) -> Mesh:
-    """A rectangle in y = 0 that faces +y, centred at the origin.
+    """A rectangle in y = 0 that faces +y, centred at the origin; an image lies on it with its top towards −z.
 
     Args:
         size: lengths along x and z in metres.
@@ -28,7 +28,8 @@ def plane(size: Sequence[float] | np.ndarray = (1.0, 1.0), resolution: int | Seq
     columns, rows = _resolution("plane", resolution, 2)
     u, v, faces = _grid(columns, rows)
     vertices = np.stack([width * (u / columns - 0.5), np.zeros(len(u)), depth * (v / rows - 0.5)], axis=1)
-    return Mesh(vertices, faces, np.tile([0.0, 1.0, 0.0], (len(vertices), 1)))
+    uv = np.stack([u / columns, 1 - v / rows], axis=1)
+    return Mesh(vertices, faces, np.tile([0.0, 1.0, 0.0], (len(vertices), 1)), uv=uv)
 
 
 def sphere(radius: float = 0.5, resolution: int = 64) -> Mesh:
@@ -53,7 +54,7 @@ def sphere(radius: float = 0.5, resolution: int = 64) -> Mesh:
 
 
 def box(size: Sequence[float] | np.ndarray = (1.0, 1.0, 1.0), resolution: int = 16) -> Mesh:
-    """A box around the origin, flat shaded: each side has its own vertices.
+    """A box around the origin, flat shaded: each side has its own vertices and shows a whole image.
 
     Args:
         size: lengths along x, y and z in metres.
@@ -67,7 +68,13 @@ def box(size: Sequence[float] | np.ndarray = (1.0, 1.0, 1.0), resolution: int = 
     lattice, faces = _cube(n)
     axes = np.eye(3)
     normals = np.repeat(np.concatenate([axes, -axes]), (n + 1) ** 2, axis=0)
-    return Mesh(lengths * (lattice / n - 0.5), faces, normals)
+    place = lattice / n
+    # Seen from outside: u to the right, v upwards; +y and −y are seen with −z, and with +z, at the top.
+    across = np.stack([1 - place[:, 2], place[:, 0], place[:, 0], place[:, 2], place[:, 0], 1 - place[:, 0]])
+    along = np.stack([place[:, 1], 1 - place[:, 2], place[:, 1], place[:, 1], place[:, 2], place[:, 1]])
+    side = np.repeat(np.arange(6), (n + 1) ** 2)
+    row = np.arange(len(place))
+    return Mesh(lengths * (place - 0.5), faces, normals, uv=np.stack([across[side, row], along[side, row]], axis=1))
 
 
 def _grid(columns: int, rows: int) -> tuple[Int[np.ndarray, " v"], Int[np.ndarray, " v"], Int[np.ndarray, "f 3"]]:

@@ -17,21 +17,24 @@ class Receivers:
     """Surface points in scene space, in groups of GROUP that are close to each other and of one material.
 
     A material's groups follow each other; its last one is filled up with copies of its first receiver, which nobody
-    reads. `slot_of` says where the i-th vertex or covered pixel went.
+    reads. `slot_of` says where the i-th vertex or covered pixel went; the backs of two-sided vertices come after all
+    vertices.
 
     Attributes:
         positions: in scene space, on the surface.
         normals: unit shading normals.
         face_normals: unit normals along which ray origins are lifted.
+        tangents: what tangent frames follow, see `tangent_frame`.
         omega_o: unit world direction to the eye for pixels, None for vertices.
         material_of_group: number of each group's material.
         filled: receivers of each group that are not copies.
-        slot_of: place in the flattened groups of each vertex or covered pixel.
+        slot_of: place in the flattened groups of each vertex, back of a vertex, or covered pixel.
     """
 
     positions: Float[np.ndarray, "g m 3"]
     normals: Float[np.ndarray, "g m 3"]
     face_normals: Float[np.ndarray, "g m 3"]
+    tangents: Float[np.ndarray, "g m 3"]
     omega_o: Float[np.ndarray, "g m 3"] | None
     material_of_group: Int[np.ndarray, " g"]
     filled: Int[np.ndarray, " g"]
@@ -48,16 +51,23 @@ class Receivers:
 
 
 def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
-    """Every vertex: the view stays free."""
-    normals = surfaces.normals
+    """Every vertex, and the back of every one that has it: the view stays free."""
     material = np.asarray(material_of_mesh)[surfaces.mesh_of_vertex]
-    return _grouped(surfaces.vertices, normals, _vertex_face_normals(surfaces), None, material)
+    two_sided = np.flatnonzero(surfaces.back >= 0)
+
+    def both(values, back=1):
+        return np.concatenate([values, back * values[two_sided]])
+
+    face_normals = _vertex_face_normals(surfaces)
+    normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
+    return _grouped(both(surfaces.vertices), normals, face_normals, both(surfaces.tangents), None, both(material))
 
 
 def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
     """Every covered pixel: the view is fixed and the BRDF exact."""
     material = np.asarray(material_of_mesh)[gbuffer.mesh]
-    return _grouped(gbuffer.positions, gbuffer.normals, gbuffer.face_normals, gbuffer.omega_o, material)
+    directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o
+    return _grouped(gbuffer.positions, *directions, material)
 
 
 def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
@@ -72,7 +82,7 @@ def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
     return np.where(length > 0, total / np.where(length > 0, length, 1), surfaces.normals)
 
 
-def _grouped(positions, normals, face_normals, omega_o, material) -> Receivers:
+def _grouped(positions, normals, face_normals, tangents, omega_o, material) -> Receivers:
     order = np.lexsort((_morton(positions), material))
     members, material_of_group, filled = [], [], []
     for number in np.unique(material):
@@ -93,6 +103,7 @@ def _grouped(positions, normals, face_normals, omega_o, material) -> Receivers:
         positions=pick(positions),
         normals=pick(normals),
         face_normals=pick(face_normals),
+        tangents=pick(tangents),
         omega_o=None if omega_o is None else pick(omega_o),
         material_of_group=np.array(material_of_group, np.int64),
         filled=np.array(filled, np.int64),

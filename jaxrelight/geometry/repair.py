@@ -1,23 +1,42 @@
 """Repair of triangle meshes where no guess is needed, and a count of every change."""
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.sparse import csgraph
 
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.mesh_files import RawMesh
+from jaxrelight.geometry.raw_mesh import RawMesh
 
 LARGEST_COORDINATE = 1e30  # float32 ends at 3e38, and areas square what they are given
 FLAT = 1e-12  # a triangle lower than this part of its longest side is no surface
 ROUNDING = 1e-15  # nor is one lower than what float64 resolves at its place
 
 
-def repaired(raw: RawMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[str, ...]]:
+class Repaired(NamedTuple):
+    """Faces that can be used, and their vertices.
+
+    Attributes:
+        vertices: positions.
+        faces: vertex numbers.
+        normals: of unit length.
+        notes: one line for each change made or doubt left.
+        source: which vertex of the file each one was.
+    """
+
+    vertices: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    normals: Float[np.ndarray, "v 3"]
+    notes: tuple[str, ...]
+    source: Int[np.ndarray, " v"]
+
+
+def repaired(raw: RawMesh) -> Repaired:
     """Drops unusable faces, merges identical vertices, orients faces alike and completes the normals.
 
-    Returns:
-        Vertices, faces, unit normals, and one line for each change made or doubt left.
+    Vertices that differ in nothing but texture coordinates share the normal that is computed for them.
 
     Raises:
         InputError: no face, or more than half of the faces unusable.
@@ -51,7 +70,8 @@ def repaired(raw: RawMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[st
         notes.append(f"dropped {len(referenced) - len(used):,} vertices that only dropped faces used")
     usable = raw.stated & np.isfinite(raw.normals).all(axis=1)
     given = unit(np.where(usable[:, None], raw.normals, 0.0), np.zeros(3))  # zero where the file has none
-    first, same = _unique_rows(np.column_stack([vertices, raw.seams, np.round(given * 100)])[used])
+    seams = np.column_stack([raw.part, np.round(np.nan_to_num(raw.uv, nan=np.inf) * 1e6)])
+    first, same = _unique_rows(np.column_stack([vertices, seams, np.round(given * 100)])[used])
     rank = np.argsort(first)  # vertices keep the order of the file
     number = np.empty(len(vertices), np.int64)
     number[used] = np.argsort(rank)[same]
@@ -65,8 +85,10 @@ def repaired(raw: RawMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[st
         notes.append(f"normals computed for {(missing & raw.stated[source]).sum():,} vertices: the file's are unusable")
     if _faces_inward(vertices, _unique_rows(vertices)[1][faces], faces):
         notes.append("closed mesh faces inward: surfaces are one-sided, so it will look black")
-    normals = np.where(missing[:, None], _angle_weighted(vertices, faces), given)
-    return vertices, np.ascontiguousarray(faces), normals, tuple(notes)
+    first, welded = _unique_rows(np.column_stack([vertices, raw.part[source]]))
+    computed = _angle_weighted(vertices[first], welded[faces])[welded]
+    normals = np.where(missing[:, None], computed, given)
+    return Repaired(vertices, np.ascontiguousarray(faces), normals, tuple(notes), source)
 
 
 def _has_area(corners: Float[np.ndarray, "f 3 3"]) -> Bool[np.ndarray, " f"]:

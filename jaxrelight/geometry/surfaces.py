@@ -1,10 +1,11 @@
 """All meshes of a scene as one set of triangles, moved to the scene's centre and scaled."""
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
@@ -18,7 +19,10 @@ class Surfaces:
         vertices: positions in scene space, float64.
         normals: unit shading normals.
         faces: vertex numbers, counter-clockwise seen from the front.
+        uv: texture coordinates; zeros for meshes that have none.
         mesh_of_vertex: which mesh each vertex belongs to.
+        two_sided: which meshes have a back that is a surface, too.
+        uv_tangents: which meshes have tangent frames along u.
         centre: world position of the scene's centre.
         radius: half of the bounding box's longest side, in world units.
     """
@@ -26,13 +30,48 @@ class Surfaces:
     vertices: Float[np.ndarray, "v 3"]
     normals: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
+    uv: Float[np.ndarray, "v 2"]
     mesh_of_vertex: Int[np.ndarray, " v"]
+    two_sided: Bool[np.ndarray, " m"]
+    uv_tangents: Bool[np.ndarray, " m"]
     centre: Float[np.ndarray, "3"]
     radius: float
 
     def to_scene(self, world: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
         """Positions in scene space of world positions."""
         return (np.asarray(world, float) - self.centre) / self.radius
+
+    @functools.cached_property
+    def back(self) -> Int[np.ndarray, " v"]:
+        """The number of the receiver at the back of each vertex: backs are counted after all vertices, where any."""
+        has_back = self.two_sided[self.mesh_of_vertex]
+        return np.where(has_back, len(self.vertices) - 1 + np.cumsum(has_back), -1)
+
+    @functools.cached_property
+    def u_axes(self) -> Float[np.ndarray, "v 4"]:
+        """Unit directions of growing u along the surface, and ±1: v grows towards that times normal × u.
+
+        Means over the adjacent faces, weighted by area; zeros where texture coordinates do not tell.
+        """
+        corners, uv = self.vertices[self.faces], self.uv[self.faces]
+        (first, second), (du, dv) = ((a[:, 1] - a[:, 0], a[:, 2] - a[:, 0]) for a in (corners, uv))
+        turn = np.sign(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0])
+        along = turn[:, None] * (first * dv[:, 1:] - second * du[:, 1:])
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        area = np.linalg.norm(np.cross(first, second), axis=1, keepdims=True)
+        share = np.column_stack([along / np.where(length > 0, length, 1), turn]) * area
+        axes = np.stack([np.bincount(self.faces.ravel(), np.repeat(share[:, k], 3), len(self.uv)) for k in range(4)], 1)
+        axes[:, :3] -= self.normals * np.sum(axes[:, :3] * self.normals, axis=1, keepdims=True)
+        length = np.linalg.norm(axes[:, :3], axis=1, keepdims=True)
+        known = length > 1e-6 * np.bincount(self.faces.ravel(), np.repeat(area[:, 0], 3), len(self.uv))[:, None]
+        axes[:, :3] = np.where(known, axes[:, :3] / np.where(known, length, 1), 0)
+        return np.column_stack([axes[:, :3], np.sign(axes[:, 3])])
+
+    @functools.cached_property
+    def tangents(self) -> Float[np.ndarray, "v 3"]:
+        """What tangent frames follow at each vertex; zeros where the normal alone tells (Wang 2006 §3.3.2)."""
+        asked = self.uv_tangents[self.mesh_of_vertex]
+        return np.where(asked[:, None], self.u_axes[:, :3], 0) if asked.any() else np.zeros_like(self.vertices)
 
     def face_normals(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
         """Unit geometric normals of some faces; the zero vector for one that rounding left without area."""
@@ -60,7 +99,10 @@ def join(meshes: Sequence[Mesh]) -> Surfaces:
         vertices=(vertices - centre) / radius,
         normals=np.concatenate([mesh.normals for mesh in meshes]),
         faces=np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
+        uv=np.concatenate([np.zeros((len(mesh.vertices), 2)) if mesh.uv is None else mesh.uv for mesh in meshes]),
         mesh_of_vertex=np.repeat(np.arange(len(meshes)), np.diff(starts)),
+        two_sided=np.array([mesh.two_sided for mesh in meshes]),
+        uv_tangents=np.array([mesh.uv_tangents for mesh in meshes]),
         centre=centre,
         radius=radius,
     )

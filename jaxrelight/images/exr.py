@@ -7,6 +7,7 @@ raises, into one `InputError`.
 import contextlib
 import io
 import os
+import struct
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,17 +15,30 @@ from pathlib import Path
 import numpy as np
 
 from jaxrelight.errors import InputError
+from jaxrelight.images.primaries import to_rec709
 
 _MAGIC = b"\x76\x2f\x31\x01"
+_CHANNELS = {"red": "R", "green": "G", "blue": "B", "alpha": "A", "luminance": "Y"}  # what R, G, B … are also called
+_REQUIRED = {  # attributes that say what the pixels are, as name and type
+    "channels\0chlist",
+    "compression\0compression",
+    "dataWindow\0box2i",
+    "displayWindow\0box2i",
+    "lineOrder\0lineOrder",
+}
+_LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}  # in a chunk, by compression
+_MOST_HEADER = 2**24
 _QUIET = threading.Lock()
 
 
 def read_exr(path: Path, max_pixels: int) -> np.ndarray:
     """Read the colours of an EXR file: the first part that has some.
 
-    Channels may be half or float, and be called R, G, B (and A), the same behind a layer's name
-    (`ViewLayer.Combined.R`), or Y alone for a grey image. The result covers the display window: pixels outside the
-    data window are 0, data outside the display window is cropped.
+    Channels may be half or float, and be called R, G, B (and A) or Y alone for a grey image, in any case or spelled
+    out (`red`), behind a layer's name or not (`ViewLayer.Combined.R`). Of several layers the unnamed one is taken, else
+    the one called Combined, else the only one. Of several resolutions the full one is taken. Primaries other than
+    Rec.709's are converted. The result covers the display window: pixels outside the data window are 0, data outside
+    the display window is cropped.
 
     Args:
         path: A regular file.
@@ -34,26 +48,30 @@ def read_exr(path: Path, max_pixels: int) -> np.ndarray:
         float32 `[h, w, 3]`, or `[h, w, 4]` if there is alpha. NaN and infinity are passed on.
 
     Raises:
-        InputError: The file is not EXR, is damaged, too large, deep, or has no colours.
+        InputError: The file is not EXR, is damaged or incomplete, too large or deep, has no colours or several layers
+            of them, or has colours that are integers, subsampled, or luminance and chroma.
     """
     with path.open("rb") as file:
         if file.read(4) != _MAGIC:
             raise InputError(f"{path}: not an OpenEXR file although it is named so; export it again as EXR")
+        file.seek(0)
+        _check_table(path, file.read(_MOST_HEADER), os.fstat(file.fileno()).st_size)
     headers = [header for header, _ in _load(path, header_only=True)]
     for header in headers:
         _check_header(path, header, max_pixels)
-    number, names = _choose_part(path, [[channel.name for channel in header["channels"]] for header in headers])
+    number, names = _choose_part(path, [header["channels"] for header in headers])
 
     parts = _load(path, header_only=False)
     if len(parts) != len(headers):
         raise InputError(f"{path}: pixels are missing or damaged; the file may be cut short, export or copy it again")
     header, channels = parts[number]
-    planes = [channels[name].pixels for name in names]
+    planes = [channels[name] for name in names]
     height, width = _size(header["dataWindow"])
     for name, plane in zip(names, planes, strict=True):
         if plane.dtype.kind != "f" or plane.shape != (height, width):
             raise InputError(f"{path}: channel {name} holds integers or is subsampled; export full half or float RGB")
-    return _place(np.stack(planes, axis=-1).astype(np.float32), header["dataWindow"], header["displayWindow"])
+    pixels = np.stack(planes, axis=-1).astype(np.float32)
+    return _place(_in_rec709(path, pixels, header), header["dataWindow"], header["displayWindow"])
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:
@@ -74,13 +92,19 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
 
 
 def _load(path: Path, *, header_only: bool) -> list[tuple[dict, dict]]:
-    """Header and channels of each part that the library could read."""
+    """Header, with the channels' names, and pixels by channel of each part that the library could read."""
     import OpenEXR
 
     try:
         with _quiet():
             file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
-            parts = [(file.header(i), file.channels(i)) for i in range(len(file.parts))]
+            parts = [
+                (
+                    {**file.header(i), "channels": [channel.name for channel in file.header(i)["channels"]]},
+                    {} if header_only else {name: channel.pixels for name, channel in file.channels(i).items()},
+                )
+                for i in range(len(file.parts))
+            ]
     except Exception as fault:  # RuntimeError, ValueError, UnicodeDecodeError, ...: whatever the damage led to
         raise InputError(f"{path}: damaged or cut-short OpenEXR file; export or copy it again") from fault
     if header_only and not parts:
@@ -122,11 +146,74 @@ def _check_header(path: Path, header: dict, max_pixels: int) -> None:
                 "shrink the image"
             )
     height, width = _size(header["dataWindow"])
+    shown = int(np.prod(_size(header["displayWindow"])))
+    if shown > max(64 * height * width, 2**22):
+        raise InputError(
+            f"{path}: its display window has {shown:,} pixels, but only {height * width:,} are stored; "
+            "export it without the empty border"
+        )
     if height * width * len(header["channels"]) > 4 * max_pixels:
         raise InputError(
             f"{path}: {len(header['channels'])} channels of {width}x{height} pixels are more than the limit of "
             f"{4 * max_pixels} values; export only the colour channels"
         )
+
+
+def _check_table(path: Path, head: bytes, file_size: int) -> None:
+    """Refuse headers that lack what the library would make up, and sizes that leave chunks of the file over.
+
+    The library believes a window with too few rows, and then reads the picture's upper part as the whole.
+    """
+    (version,), at, headers = struct.unpack_from("<I", head.ljust(8, b"\0"), 4), 8, []
+    several = bool(version & 0x1000)
+    try:
+        while not headers or (several and head[at : at + 1] != b"\0"):
+            attributes, at = _attributes(head, at)
+            if missing := _REQUIRED - set(attributes):
+                lacks = sorted(missing)[0].split("\0")[0]
+                raise InputError(f"{path}: its header lacks {lacks!r}; export or copy it again")
+            headers.append(attributes)
+        count = None if several or version & 0x800 else _chunk_count(headers[0])
+        if count is None or at + 8 * count + 8 > len(head):
+            return
+        first = min(struct.unpack_from(f"<{count}Q", head, at))
+        (beyond,) = struct.unpack_from("<Q", head, at + 8 * count)
+    except (ValueError, IndexError, KeyError, struct.error):
+        if len(head) == _MOST_HEADER:
+            return  # too long to look through; the library reads it
+        raise InputError(f"{path}: damaged or cut-short OpenEXR header; export or copy it again") from None
+    if first >= at + 8 * count + 8 and first < beyond < file_size:
+        raise InputError(f"{path}: its header claims fewer pixels than the file holds; export or copy it again")
+
+
+def _attributes(head: bytes, at: int) -> tuple[dict[str, bytes], int]:
+    """Content of the attributes of a header, by name and type, and where it ends: at an attribute without a name."""
+    found = {}
+    while head[at] != 0:
+        name_end = head.index(b"\0", at)
+        kind_end = head.index(b"\0", name_end + 1)
+        (size,) = struct.unpack_from("<i", head, kind_end + 1)
+        start = kind_end + 5
+        if not 0 <= size <= len(head) - start:
+            raise ValueError("an attribute is longer than the file")
+        found[head[at:kind_end].decode("latin-1")] = head[start : start + size]
+        at = start + size
+    return found, at + 1
+
+
+def _chunk_count(header: dict[str, bytes]) -> int | None:
+    """How many chunks a single part has; None where that is not known, or could not be."""
+    left, top, right, bottom = struct.unpack("<4i", header["dataWindow\0box2i"])
+    width, height = right - left + 1, bottom - top + 1
+    if min(width, height) < 1:
+        return None
+    if "tiles\0tiledesc" not in header:
+        lines = _LINES.get(header["compression\0compression"][0])
+        return None if lines is None else -(-height // lines)
+    across, down, mode = struct.unpack("<2IB", header["tiles\0tiledesc"])
+    if mode != 0 or not across or not down:  # with levels, the table is longer than that of the first
+        return None
+    return -(-width // across) * -(-height // down)
 
 
 def _choose_part(path: Path, names_by_part: Sequence[Sequence[str]]) -> tuple[int, list[str]]:
@@ -139,24 +226,41 @@ def _choose_part(path: Path, names_by_part: Sequence[Sequence[str]]) -> tuple[in
 
 
 def _choose_channels(path: Path, names: Sequence[str]) -> list[str] | None:
-    layers: dict[str, set[str]] = {}
-    for name in names:
+    layers: dict[str, dict[str, str]] = {}
+    for name in sorted(names, reverse=True):  # so that R stands in for r where a layer has both
         layer, _, channel = name.rpartition(".")
-        layers.setdefault(layer, set()).add(channel)
+        layers.setdefault(layer, {})[_CHANNELS.get(channel.lower(), channel.upper())] = name
 
-    coloured = [layer for layer, has in layers.items() if {"R", "G", "B"} <= has]
+    coloured = [layer for layer, has in sorted(layers.items()) if {"R", "G", "B"} <= set(has)]
     # Y beside X and Z is a vector; beside RY and BY it is the luminance of a colour image
-    grey = [layer for layer, has in layers.items() if "Y" in has and not has & {"X", "Z", "RY", "BY"}]
+    grey = [layer for layer, has in sorted(layers.items()) if "Y" in has and not set(has) & {"X", "Z", "RY", "BY"}]
     candidates, wanted = (coloured, "RGB") if coloured else (grey, "YYY")
     if not candidates:
+        if any({"Y", "RY", "BY"} <= set(has) for has in layers.values()):
+            raise InputError(f"{path}: holds luminance and chroma (Y, RY, BY), which are not supported; export R, G, B")
         return None
     preferred = [layer for layer in candidates if layer == ""]
     preferred = preferred or [layer for layer in candidates if layer.rpartition(".")[2] == "Combined"] or candidates
     if len(preferred) > 1:
-        raise InputError(f"{path}: several layers have colours, {_listed(preferred)}; export one of them alone")
-    layer = preferred[0]
-    prefix = f"{layer}." if layer else ""
-    return [prefix + channel for channel in wanted + ("A" if "A" in layers[layer] else "")]
+        raise InputError(
+            f"{path}: several layers have colours, {_listed(preferred)}, and none is unnamed or called 'Combined'; "
+            "export one of them alone"
+        )
+    has = layers[preferred[0]]
+    return [has[channel] for channel in wanted + ("A" if "A" in has else "")]
+
+
+def _in_rec709(path: Path, pixels: np.ndarray, header: dict) -> np.ndarray:
+    if "chromaticities" not in header:
+        return pixels
+    try:
+        matrix = to_rec709(header["chromaticities"])
+    except ValueError as fault:
+        raise InputError(f"{path}: its chromaticities are not usable, {fault}; export it as Rec.709") from None
+    if matrix is not None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            pixels[..., :3] = pixels[..., :3] @ matrix.T.astype(np.float32)
+    return pixels
 
 
 def _place(pixels: np.ndarray, data_window, display_window) -> np.ndarray:

@@ -1,8 +1,11 @@
 """Image files by extension: OpenEXR and Radiance hold radiance as it is, PNG and JPEG hold sRGB."""
 
+import io
 import os
+import struct
 import uuid
 import warnings
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -47,6 +50,8 @@ def read_image(path: str | os.PathLike, max_pixels: int = 2**27) -> np.ndarray:
             return decode_radiance(data, str(path), max_pixels)
         if suffix in _PILLOW_FORMATS:
             return _read_pillow(path, max_pixels)
+    except MemoryError as fault:
+        raise InputError(f"{path}: is larger than the free memory; shrink the image") from fault
     except OSError as fault:
         raise InputError(f"{path}: cannot be read, {fault.strerror or fault}; check the path and its rights") from fault
     raise InputError(f"{path}: unknown kind of image {suffix!r}; use one of {_READABLE}")
@@ -113,19 +118,19 @@ def _read_pillow(path: Path, max_pixels: int) -> np.ndarray:
 
     kind = _PILLOW_FORMATS[path.suffix.lower()]
     try:
-        with warnings.catch_warnings(), path.open("rb") as file:
+        data = path.read_bytes()  # a stream from a file would take the memory that a chunk claims
+        with warnings.catch_warnings(), io.BytesIO(data) as file:
             warnings.simplefilter("ignore")  # its own size warning, and complaints about metadata
             image = Image.open(file, formats=[kind])
             _check_claimed_size(path, image.size, max_pixels)
             image.load()
-            file.seek(-min(path.stat().st_size, 2**16), os.SEEK_END)
-            if kind == "PNG" and b"IEND\xaeB`\x82" not in file.read():  # Pillow does not miss it
-                raise EOFError("no end marker")
+            if kind == "PNG":
+                _check_png_chunks(data)
             if image.mode.startswith("I"):  # 16-bit grey
                 grey = np.asarray(image, dtype=np.float32) / 65535
                 return np.repeat(srgb_decode(grey)[..., None], 3, axis=-1).astype(np.float32)
             stored = np.asarray(image.convert("RGBA" if image.has_transparency_data else "RGB"))
-    except InputError:
+    except (InputError, MemoryError):
         raise
     except Exception as fault:  # a broken file can raise nearly anything in Pillow's many decoders
         raise InputError(f"{path}: not a {kind} file, or damaged or cut short; export or copy it again") from fault
@@ -134,6 +139,17 @@ def _read_pillow(path: Path, max_pixels: int) -> np.ndarray:
     if stored.shape[2] == 4:
         linear[..., 3] = levels[stored[..., 3]]
     return linear
+
+
+def _check_png_chunks(data: bytes) -> None:
+    """Raise ValueError unless every chunk up to the end marker has its checksum; Pillow leaves that of pixels out."""
+    at, name = 8, b""
+    while name != b"IEND":
+        length, name = struct.unpack_from(">I4s", data, at)
+        (checksum,) = struct.unpack_from(">I", data, at + 8 + length)
+        if zlib.crc32(data[at + 4 : at + 8 + length]) != checksum:
+            raise ValueError("a chunk is damaged")
+        at += 12 + length
 
 
 def _check_claimed_size(path: Path, size: tuple[int, int], max_pixels: int) -> None:

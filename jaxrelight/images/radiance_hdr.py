@@ -9,10 +9,12 @@ import re
 import numpy as np
 
 from jaxrelight.errors import InputError
+from jaxrelight.images.primaries import to_rec709
 
 _MAX_HEADER = 1 << 16
 _RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,9}) +([+-])([XY]) +(\d{1,9})\s*")
 _CODED_WIDTHS = range(8, 0x8000)  # scanlines that the new coding can hold
+_DEFAULT_PRIMARIES = (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 1 / 3, 1 / 3)  # written by default, and meant as Rec.709
 
 
 class _FormatError(Exception):
@@ -20,7 +22,10 @@ class _FormatError(Exception):
 
 
 def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
-    """Decode a Radiance picture to float32 `[h, w, 3]`, with EXPOSURE and COLORCORR divided out.
+    """Decode a Radiance picture to float32 `[h, w, 3]`.
+
+    EXPOSURE and COLORCORR, of which there may be several lines each, are divided out; PRIMARIES other than Radiance's
+    own or Rec.709's are converted.
 
     Args:
         data: The file's content.
@@ -28,10 +33,10 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
         max_pixels: Size limit, checked before pixels are decoded.
 
     Raises:
-        InputError: Not such a picture, cut short, too large, or in the XYZ variant.
+        InputError: Not such a picture, cut short, longer than it claims, too large, in the XYZ variant or not linear.
     """
     try:
-        scale, at = _read_header(data)
+        scale, primaries, at = _read_header(data)
         line_end = data.find(b"\n", at, at + 80)
         found = _RESOLUTION.fullmatch(data[at:line_end]) if line_end >= 0 else None
         if found is None or found[2] == found[5]:
@@ -52,8 +57,9 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
         rgbe = rgbe.swapaxes(0, 1)
     exponents = np.where(rgbe[..., 3] > 0, rgbe[..., 3].astype(np.int32) - 136, -1000)  # e = 0 is black
     pixels = np.ldexp(rgbe[..., :3].astype(np.float32), exponents[..., None])
-    with np.errstate(over="ignore"):
-        return pixels if (scale == 1).all() else pixels / scale
+    with np.errstate(over="ignore", invalid="ignore"):
+        pixels = pixels if (scale == 1).all() else pixels / scale
+        return pixels if primaries is None else pixels @ primaries.T.astype(np.float32)
 
 
 def encode_radiance(pixels: np.ndarray) -> bytes:
@@ -73,9 +79,9 @@ def encode_radiance(pixels: np.ndarray) -> bytes:
     )
 
 
-def _read_header(data: bytes) -> tuple[np.ndarray, int]:
-    """The factor by which the stored pixels were multiplied, `[3]`, and where the header ends."""
-    scale, known, at = np.ones(3), data.startswith(b"#?"), 0
+def _read_header(data: bytes) -> tuple[np.ndarray, np.ndarray | None, int]:
+    """The factor by which the stored pixels were multiplied, `[3]`, their primaries' matrix, and the header's end."""
+    scale, primaries, known, at = np.ones(3), None, data.startswith(b"#?"), 0
     while True:
         end = data.find(b"\n", at, _MAX_HEADER)
         if end < 0:
@@ -87,12 +93,19 @@ def _read_header(data: bytes) -> tuple[np.ndarray, int]:
         if key == b"FORMAT":
             if value != b"32-bit_rle_rgbe":
                 kind = value.decode("ascii", "replace")[:40]
-                raise _FormatError(f"has FORMAT={kind}, and only 32-bit_rle_rgbe is read")
+                raise _FormatError(f"has FORMAT={kind}, and only 32-bit_rle_rgbe is read (ra_xyze -r converts XYZ)")
             known = True
-        elif key in (b"EXPOSURE", b"COLORCORR"):
+        elif key in (b"EXPOSURE", b"COLORCORR", b"PRIMARIES", b"GAMMA"):
             try:
-                factors = [float(word) for word in value.split()]
-                scale = scale * np.reshape(factors, 1 if key == b"EXPOSURE" else 3)
+                numbers = np.array([float(word) for word in value.split()])
+                if key == b"PRIMARIES":
+                    usual = numbers.shape == (8,) and np.allclose(numbers, _DEFAULT_PRIMARIES, rtol=0, atol=0.011)
+                    primaries = None if usual else to_rec709(numbers)
+                elif key == b"GAMMA":
+                    if numbers.tolist() != [1.0]:
+                        raise _FormatError("has a GAMMA other than 1, so it holds no linear radiance")
+                else:
+                    scale = scale * np.reshape(numbers, 1 if key == b"EXPOSURE" else 3)
             except ValueError:
                 raise _FormatError(f"has an unreadable {key.decode()} line") from None
     if not known:
@@ -101,7 +114,7 @@ def _read_header(data: bytes) -> tuple[np.ndarray, int]:
         scale = scale.astype(np.float32)
     if not (np.isfinite(scale) & (scale > 0)).all():
         raise _FormatError("has an EXPOSURE or COLORCORR that is not a positive number")
-    return scale, at
+    return scale, primaries, at
 
 
 def _read_scanlines(data: bytes, at: int, count: int, length: int) -> np.ndarray:
@@ -118,6 +131,8 @@ def _read_scanlines(data: bytes, at: int, count: int, length: int) -> np.ndarray
         except IndexError:
             raise _FormatError(f"is cut short or damaged in scanline {number + 1} of {count}") from None
         scanlines.append(scanline)
+    if len(spare := data[at:].strip(b"\0\r\n\x1a ")) > 0:
+        raise _FormatError(f"has {len(spare)} bytes after the last of its {count} scanlines, so its header is damaged")
     return np.frombuffer(b"".join(scanlines), np.uint8).reshape(count, length, 4)
 
 

@@ -10,14 +10,17 @@ from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.reflection import FixedView, Reflection
+from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
-from jaxrelight.operators.stacked import Stacked
-from jaxrelight.transport.load import Transport, load, padded_receivers
+from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.transport.load import Block, Transport, load, padded_receivers
 
-# Light terms [receivers, k, c] of every material.
+# Light terms [receivers, k, c] of every block of the operator.
 LightTerms = tuple[Float[Array, "v k c"], ...]
 
 
@@ -48,13 +51,11 @@ class Relighter:
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator.
 
-        Those of each material are followed by zeros, which nobody reads, up to one of few lengths.
+        Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
+        about the same size compiles nothing new.
         """
-        operator, terms = self.transport.operator, tuple(r.terms for r in self.transport.reflections)
-        if self.transport.settings.coefficients == "all":
-            # Baked group by group, by compiled functions of one group.
-            return _padded(_split(operator, operator.apply(light), terms))
-        return _apply(operator, light, terms)
+        parts = zip(self.transport.operator.operators, self.transport.blocks, strict=True)
+        return tuple(_terms(operator, light, block) for operator, block in parts)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -76,13 +77,21 @@ class Relighter:
             )
         return make_view(self.transport, camera)
 
-    def shade(self, terms: LightTerms, view: View) -> Float[Array, "h w c"]:
+    def shade(self, terms: LightTerms, view: View, weights: tuple[Weight, ...] | None = None) -> Float[Array, "h w c"]:
         """Radiance of every pixel, 0 where no surface is seen: what a change of view costs, beside `view` itself.
 
-        Terms are interpolated to the pixel, then closed by the view side of its own direction to the eye:
-        Σ_k view_side_k · (T x)_k. Differentiable in the terms.
+        Terms are interpolated to the pixel, then closed by the view side of its own direction to the eye and by the
+        weights at its texture coordinates: Σ_b w_b Σ_k view_side_bk · (T_b x)_k. Differentiable in terms and weights.
+
+        Args:
+            terms: from `light`.
+            view: from `view`.
+            weights: of the transport's blocks; by default those that they have.
         """
-        return shade(tuple(_view_sides(r) for r in self.transport.reflections), terms, view.materials, view.shape)
+        blocks = self.transport.blocks
+        reflections = tuple(_view_sides(block.reflection) for block in blocks)
+        weights = tuple(block.weight for block in blocks) if weights is None else weights
+        return shade(reflections, weights, terms, view.materials, view.shape)
 
     def background(self, environment: Environment, view: View) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
@@ -104,19 +113,18 @@ class Relighter:
 _light_vector = jax.jit(encode)
 
 
-@functools.partial(jax.jit, static_argnames="terms")
-def _apply(operator: Stacked, light, terms: tuple[int, ...]) -> LightTerms:
-    return _split(operator, operator.apply(light), terms)
+def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Float[Array, "v k c"]:
+    """One block's light terms, compiled unless the operator reads a store as it goes."""
+    receivers = padded_receivers(len(block.groups) * GROUP)
+    if isinstance(operator, SparseRows):
+        return _compiled_terms(operator.with_filling(), light, receivers, block.reflection.terms)
+    product = operator.apply(light).reshape(-1, block.reflection.terms, light.shape[1])
+    return jnp.pad(product, ((0, receivers - len(product)), (0, 0), (0, 0)))
 
 
-def _split(operator: Stacked, product, terms: tuple[int, ...]) -> LightTerms:
-    """The product by material."""
-    parts = zip(terms, operator.starts[:-1], operator.starts[1:], strict=True)
-    return tuple(product[start:end].reshape(-1, k, product.shape[1]) for k, start, end in parts)
-
-
-def _padded(terms: LightTerms) -> LightTerms:
-    return tuple(jnp.pad(part, ((0, padded_receivers(len(part)) - len(part)), (0, 0), (0, 0))) for part in terms)
+@functools.partial(jax.jit, static_argnames=("receivers", "terms"))
+def _compiled_terms(operator: Operator, light: Float[Array, "d c"], receivers: int, terms: int):
+    return operator.apply(light)[: receivers * terms].reshape(receivers, terms, light.shape[1])
 
 
 @jax.jit
@@ -129,20 +137,37 @@ def _view_sides(reflection: Reflection) -> Reflection:
     return FixedView(reflection.brdf, jnp.zeros(3)) if isinstance(reflection, FixedView) else reflection
 
 
-@functools.partial(jax.jit, static_argnames="shape")
 def shade(
-    reflections: tuple[Reflection, ...], terms: LightTerms, materials: tuple[MaterialPixels, ...], shape
+    reflections: tuple[Reflection, ...],
+    weights: tuple[Weight, ...],
+    terms: LightTerms,
+    materials: tuple[MaterialPixels, ...],
+    shape: tuple[int, int],
 ) -> Float[Array, "h w c"]:
-    """Radiance of the pixels of all materials; see `Relighter.shade`."""
+    """Radiance of the pixels of all blocks; see `Relighter.shade`.
+
+    Each block is compiled by itself: as the view moves, every block's number of pixels changes on its own.
+    """
     height, width = shape
-    channels = terms[0].shape[-1]
-    image = jnp.zeros((height * width, channels), terms[0].dtype)
-    for reflection, material, pixels in zip(reflections, terms, materials, strict=True):
-        corners = material.at[pixels.receivers].get(mode="promise_in_bounds")
-        # pixels p, corners b, terms k, channels c
-        light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
-        view = jax.vmap(reflection.view_side)(pixels.omega_o)
-        # One-sided: nothing is seen from below the shading normal.
-        radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
-        image = image.at[pixels.pixel].set(radiance, mode="drop", unique_indices=False)
-    return image.reshape(height, width, channels)
+    image = jnp.zeros((height * width, terms[0].shape[-1]), terms[0].dtype)
+    for block in zip(reflections, weights, terms, materials, strict=True):
+        image = _add_block(image, *block)
+    return image.reshape(height, width, -1)
+
+
+@jax.jit
+def _add_block(
+    image: Float[Array, "hw c"],
+    reflection: Reflection,
+    weight: Weight,
+    terms: Float[Array, "v k c"],
+    pixels: MaterialPixels,
+) -> Float[Array, "hw c"]:
+    corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
+    # pixels p, corners b, terms k, channels c
+    light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
+    view = jax.vmap(reflection.view_side)(pixels.omega_o)
+    # One-sided: nothing is seen from below the shading normal.
+    radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
+    radiance = radiance * jax.vmap(look_up, in_axes=(None, 0))(weight, pixels.uv)
+    return image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)

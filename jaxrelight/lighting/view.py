@@ -18,18 +18,20 @@ from jaxrelight.transport.load import Transport
 
 
 class MaterialPixels(eqx.Module):
-    """Pixels of one material, padded to one of few lengths so that few shapes are compiled.
+    """Pixels that see a block's material, padded to one of few lengths so that few shapes are compiled.
 
     Attributes:
         pixel: place in the flattened image; past its end for padding.
         receivers: numbers among the material's receivers: one, or the three corners of the face seen.
         weights: theirs.
+        uv: texture coordinates.
         omega_o: local direction to the eye.
     """
 
     pixel: Int[Array, " p"]
     receivers: Int[Array, "p b"]
     weights: Float[Array, "p b"]
+    uv: Float[Array, "p 2"]
     omega_o: Float[Array, "p 3"]
 
 
@@ -38,7 +40,7 @@ class View:
     """What is needed to turn light terms into an image.
 
     Attributes:
-        materials: pixels by material, in the transport's order.
+        materials: pixels of the transport's blocks, in their order.
         covered: which pixels show a surface.
         directions: unit world direction of every pixel.
     """
@@ -67,12 +69,16 @@ def make_view(transport: Transport, camera: Camera) -> View:
     gbuffer = trace_gbuffer(transport.surfaces, transport.tracer, camera)
     vertices = transport.settings.receivers == "vertices"
     slot = transport.receivers.slot_of
-    receivers = slot[gbuffer.corners] if vertices else slot[:, None]
+    corners = np.where(gbuffer.back[:, None], transport.surfaces.back[gbuffer.corners], gbuffer.corners)
+    receivers = slot[corners] if vertices else slot[:, None]
     weights = gbuffer.barycentric if vertices else np.ones((len(slot), 1))
     material = transport.receivers.material_of_group[receivers[:, 0] // transport.receivers.positions.shape[1]]
     pixel = np.flatnonzero(gbuffer.covered)
-    parts = []
-    for groups in transport.groups:
+    parts = {}
+    for block in transport.blocks:
+        if block.material in parts:
+            continue
+        groups = block.groups
         mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
         first = groups[0] * transport.receivers.positions.shape[1]
         pad = bucket(len(mine), 1024) - len(mine)
@@ -80,15 +86,16 @@ def make_view(transport: Transport, camera: Camera) -> View:
         def padded(rows, fill=0, mine=mine, pad=pad):
             return np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
 
-        parts.append(
-            MaterialPixels(
-                pixel=jnp.asarray(padded(pixel, gbuffer.covered.size)),
-                receivers=jnp.asarray(padded(receivers - first)),
-                weights=jnp.asarray(padded(weights), jnp.float32),
-                omega_o=_local(*(padded(v).astype(np.float32) for v in (gbuffer.normals, gbuffer.omega_o))),
-            )
+        parts[block.material] = MaterialPixels(
+            pixel=jnp.asarray(padded(pixel, gbuffer.covered.size)),
+            receivers=jnp.asarray(padded(receivers - first)),
+            weights=jnp.asarray(padded(weights), jnp.float32),
+            uv=jnp.asarray(padded(gbuffer.uv), jnp.float32),
+            omega_o=_local(
+                *(padded(v).astype(np.float32) for v in (gbuffer.normals, gbuffer.tangents, gbuffer.omega_o))
+            ),
         )
-    return View(tuple(parts), gbuffer.covered, gbuffer.directions)
+    return View(tuple(parts[name] for name in transport.names), gbuffer.covered, gbuffer.directions)
 
 
 _local = jax.jit(to_local)

@@ -1,4 +1,4 @@
-"""Distant light from a lat-long map."""
+"""Distant light: a picture of the whole sphere becomes a lat-long map, and that a light vector."""
 
 import dataclasses
 import pathlib
@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
 from jaxrelight.errors import InputError
+from jaxrelight.lights.layouts import faces_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,7 +17,8 @@ class Environment:
     """A lat-long map of radiance and how it is placed.
 
     Attributes:
-        pixels: linear Rec.709 radiance, finite and not negative; see `latlong` for the orientation.
+        pixels: linear Rec.709 radiance, finite and not negative, of any height and width; see `latlong` for the
+            orientation.
         rotate_y: degrees it is turned about +y, counter-clockwise seen from +y.
         scale: factor on the radiance.
         notes: one line for everything that was mended.
@@ -37,25 +39,28 @@ def environment(
     rotate_y: float = 0.0,
     scale: float = 1.0,
     *,
+    layout: str = "auto",
     zero_nonfinite: bool = False,
     name: str = "the environment",
 ) -> Environment:
     """An environment from pixels: negative ones are clamped and counted, NaN and infinite ones refused.
 
     Args:
-        pixels: lat-long radiance; a fourth channel is ignored.
+        pixels: radiance of the whole sphere; a fourth channel is ignored.
         rotate_y: see `Environment`.
         scale: see `Environment`.
+        layout: "latlong", or how the faces of a cube lie in the picture: "strip" or "cross"; see `lights.layouts`.
+            "auto" goes by the picture's sides and notes what it guessed.
         zero_nonfinite: set NaN and infinite pixels to 0 and count them, instead.
         name: what messages call it.
 
     Raises:
-        InputError: for another shape than [h, 2h, 3 or 4], or pixels that are not finite.
+        InputError: for another shape than [h, w, 3 or 4], a layout that does not fit, or pixels that are not finite.
     """
     with np.errstate(over="ignore"):
         pixels = np.asarray(pixels, np.float32)
-    if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4) or pixels.shape[1] != 2 * pixels.shape[0]:
-        raise InputError(f"{name} has shape {pixels.shape}; a lat-long map is h × 2h pixels of three channels")
+    if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4):
+        raise InputError(f"{name} has shape {pixels.shape}; an environment is h × w pixels of three channels")
     pixels, notes = pixels[..., :3], []
     bad = np.logical_not(np.isfinite(pixels).all(axis=-1))
     if bad.any():
@@ -71,30 +76,40 @@ def environment(
     if negative.any():
         notes.append(f"{name}: {negative.sum():,} pixels had negative channels, clamped to 0")
         pixels = np.maximum(pixels, 0)
+    faces, guess = faces_of(pixels, layout, name)
+    if faces is not None:
+        pixels = latlong.from_cube(faces)
+    notes += [guess] if guess else []
     return Environment(np.ascontiguousarray(pixels), float(rotate_y), float(scale), tuple(notes))
 
 
 def load_environment(
-    path: str | pathlib.Path, rotate_y: float = 0.0, scale: float = 1.0, *, zero_nonfinite: bool = False
+    path: str | pathlib.Path,
+    rotate_y: float = 0.0,
+    scale: float = 1.0,
+    *,
+    layout: str = "auto",
+    zero_nonfinite: bool = False,
 ) -> Environment:
-    """An environment from an image file; see `environment`."""
+    """An environment from an image file; see `environment`. PNG and JPEG are decoded from sRGB to radiance 0 … 1."""
     from jaxrelight.images import read_image
 
-    return environment(read_image(path), rotate_y, scale, zero_nonfinite=zero_nonfinite, name=pathlib.Path(path).name)
+    name = pathlib.Path(path).name
+    return environment(read_image(path), rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite, name=name)
 
 
-def coarsened(pixels: Float[np.ndarray, "h w 3"], resolution: int) -> Float[np.ndarray, "h w 3"]:
-    """The map halved, by area, until its pixels are a quarter of the texels of a 6×resolution² cube map, or larger.
+def coarsened(pixels: Float[np.ndarray, "h w 3"], resolution: int) -> Float[np.ndarray, "g u 3"]:
+    """The map with rows and columns halved, by area, until its pixels are a quarter of the texels of a cube map.
 
-    Finer pixels change nothing that a texel's mean could show.
+    Finer pixels change nothing that a texel's mean could show. The cube map has 6×resolution² texels.
     """
     pixels = np.asarray(pixels, np.float32)
-    while pixels.shape[1] >= 32 * resolution and pixels.shape[0] % 2 == 0:
-        area = latlong.solid_angles(*pixels.shape[:2]).astype(np.float32)[:, None, None]
-        pairs = (pixels * area)[0::2] + (pixels * area)[1::2]
-        pairs /= area[0::2] + area[1::2]
-        pixels = (pairs[:, 0::2] + pairs[:, 1::2]) / 2
-    return pixels
+    height, width = pixels.shape[:2]
+    while height >= 16 * resolution:
+        height = -(-height // 2)
+    while width >= 32 * resolution:
+        width = -(-width // 2)
+    return pixels if (height, width) == pixels.shape[:2] else latlong.resized(pixels, height, width)
 
 
 def encode(

@@ -35,6 +35,11 @@ class SparseRows(Operator):
         """(r, d, c)."""
         return self.row_count, self.columns, len(self.values)
 
+    def with_filling(self) -> "SparseRows":
+        """The same, its filling counted among its rows: of one shape for many row counts."""
+        b, m, _ = self.indices.shape
+        return SparseRows(self.indices, self.values, b * m, self.columns)
+
     @property
     def nbytes(self) -> int:
         """Bytes of indices and values."""
@@ -78,17 +83,28 @@ class SparseRows(Operator):
         return jax.vmap(lambda row, i, v: row.at[:, i].add(v))(empty, kept, values)
 
 
-def sparse_rows(indices: Int[Array, "r n"], values: Float[Array, "r c n"], columns: int) -> SparseRows:
-    """A row-sparse operator over `columns` light coefficients; indices must be below that."""
+def sparse_rows(
+    indices: Int[Array | np.ndarray, "r n"], values: Float[Array | np.ndarray, "r c n"], columns: int, held: int = 0
+) -> SparseRows:
+    """A row-sparse operator over `columns` light coefficients; indices must be below that.
+
+    At least `held` rows are held, those past r filled with zeros, so that operators of many sizes have few shapes.
+    NumPy arrays are put into blocks by NumPy, so that nothing is compiled for their shapes.
+    """
     r, c, n = values.shape
-    m = min(_BLOCK, r)
-    b = -(-r // m)
+    held = max(held, r)
+    m = min(_BLOCK, held)
+    b = -(-held // m)
+    host = isinstance(indices, np.ndarray) and isinstance(values, np.ndarray)
 
-    def blocks(rows):
-        return jnp.pad(rows, ((0, b * m - r), (0, 0))).reshape(b, m, n)
+    def blocks(rows) -> Array:
+        padding = (0, b * m - r), (0, 0)
+        return (
+            jax.device_put(np.pad(rows, padding).reshape(b, m, n)) if host else jnp.pad(rows, padding).reshape(b, m, n)
+        )
 
-    indices = jnp.asarray(indices).astype(smallest_index_type(columns))
-    return SparseRows(blocks(indices), tuple(blocks(jnp.asarray(values)[:, i]) for i in range(c)), r, columns)
+    indices = indices.astype(smallest_index_type(columns))
+    return SparseRows(blocks(indices), tuple(blocks(values[:, i]) for i in range(c)), r, columns)
 
 
 def smallest_index_type(columns: int) -> np.dtype:

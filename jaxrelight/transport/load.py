@@ -3,12 +3,11 @@
 import dataclasses
 import functools
 import pathlib
-import types
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
@@ -17,6 +16,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factors import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
+from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
@@ -34,6 +34,27 @@ from jaxrelight.transport.settings import Settings
 
 
 @dataclasses.dataclass(frozen=True)
+class Block:
+    """The operator's rows of one BRDF of one material.
+
+    Attributes:
+        material: its name.
+        brdf: one of those that the material combines.
+        weight: the factor on it over the surface.
+        reflection: of the BRDF; arrays that each receiver has for itself lead with groups and receivers.
+        groups: of the material's receivers.
+        dropped: energy left out of every row by channel; None where nothing is.
+    """
+
+    material: str
+    brdf: Brdf
+    weight: Weight
+    reflection: Reflection
+    groups: Int[np.ndarray, " g"]
+    dropped: Float[np.ndarray, "r c"] | None
+
+
+@dataclasses.dataclass(frozen=True)
 class Transport:
     """What a store holds, ready to light and to view with.
 
@@ -42,14 +63,10 @@ class Transport:
         surfaces: the geometry, for views.
         tracer: rays against it.
         receivers: the points of the operator's rows.
-        names: of the materials that have receivers.
-        brdfs: theirs.
-        reflections: theirs; arrays that each receiver has for itself lead with groups and receivers.
-        operator: from light to light terms; its rows are ordered by material, group, receiver and term. Where it was
-            read from a store, the rows of each material are followed by rows of zeros up to one of few numbers.
+        blocks: what the operator's rows belong to, in their order: a block for each BRDF of each material seen.
+        operator: from light to light terms; its rows are ordered by block, group, receiver and term.
         basis: of the operator's light.
         kept: share of transport energy that the operator keeps.
-        dropped: energy left out of every row by channel, per material; None where nothing is.
         camera: the scene's.
         environment: the layer of the scene's own environment, if it has one.
         rotate_y: of that environment.
@@ -62,20 +79,26 @@ class Transport:
     surfaces: Surfaces
     tracer: Tracer
     receivers: Receivers
-    names: list[str]
-    brdfs: list[Brdf]
-    reflections: list[Reflection]
+    blocks: tuple[Block, ...]
     operator: Stacked
     basis: bake.Basis
     kept: float
-    dropped: list[np.ndarray] | None
     camera: Camera
     environment: store.Layer | None
     rotate_y: float
     scale: float
     folder: pathlib.Path
     visibility: store.Layer
-    groups: list[Int[np.ndarray, " g"]]
+
+    @property
+    def names(self) -> list[str]:
+        """The material of each block."""
+        return [block.material for block in self.blocks]
+
+    @property
+    def reflections(self) -> list[Reflection]:
+        """The reflection of each block."""
+        return [block.reflection for block in self.blocks]
 
 
 def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
@@ -113,29 +136,30 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
     receivers = receivers_of(surfaces, tracer, np.array(header["material_of_mesh"]), camera, settings)
     if len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    numbers = sorted(set(receivers.material_of_group.tolist()))
-    brdfs, reflections, operators, dropped, all_groups, total = [], [], [], [], [], 0.0
-    for number, record in zip(numbers, header["materials"], strict=True):
-        brdf, groups = from_record(record["brdf"]), receivers.groups_of(number)
+    if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
+        raise ValueError("materials and meshes do not belong together")
+    blocks, operators, total = [], [], 0.0
+    for record in header["materials"]:
+        brdf, groups = from_record(record["brdf"]), receivers.groups_of(record["number"])
         reflection = (
             read_factors(store.open_layer(folder / record["factors"]))
             if record["factors"]
             else fixed_view(brdf, receivers, groups)
         )
+        dropped = None
         if settings.coefficients == "all":
-            operators.append(_streamed(visibility, groups, frames_of(receivers, groups), reflection, directions))
+            operators.append(_streamed(settings, visibility, receivers, groups, reflection))
         else:
             layer = store.open_layer(folder / record["transport"])
             if layer.missing:
                 raise InputError(f"{folder}: {len(layer.missing)} groups are missing; run precompute to complete them")
             arrays = layer.read_all()
             operators.append(_sparse_rows(layer.folder, arrays["indices"], arrays["values"], settings))
-            dropped.append(arrays["dropped"].reshape(-1, reflection.channels))
+            dropped = arrays["dropped"].reshape(-1, reflection.channels)
             total += float(arrays["total"].sum(dtype=float)) * 3 / reflection.channels
-        brdfs.append(brdf)
-        reflections.append(reflection)
-        all_groups.append(groups)
+        weight = tuple(read_texture(folder, entry) for entry in record["weight"])
+        blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped))
+    dropped = [block.dropped for block in blocks if block.dropped is not None]
     left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
     environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
     return Transport(
@@ -143,20 +167,16 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         surfaces=surfaces,
         tracer=tracer,
         receivers=receivers,
-        names=[record["name"] for record in header["materials"]],
-        brdfs=brdfs,
-        reflections=reflections,
+        blocks=tuple(blocks),
         operator=Stacked(tuple(operators)),
         basis=cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution),
         kept=1 - left / total if total else 1.0,
-        dropped=dropped or None,
         camera=camera,
         environment=store.open_layer(folder / environment["pixels"]) if environment["pixels"] else None,
         rotate_y=environment["rotate_y"],
         scale=environment["scale"],
         folder=folder,
         visibility=visibility,
-        groups=all_groups,
     )
 
 
@@ -173,48 +193,51 @@ def exact(transport: Transport) -> Transport:
     The reference that the kept coefficients are measured against; factors stay what they are.
     """
     settings = transport.settings
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     operators = [
-        _streamed(transport.visibility, groups, frames_of(transport.receivers, groups), reflection, directions)
-        for groups, reflection in zip(transport.groups, transport.reflections, strict=True)
+        _streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
+        for block in transport.blocks
     ]
     return dataclasses.replace(
         transport,
         settings=dataclasses.replace(settings, coefficients="all"),
+        blocks=tuple(dataclasses.replace(block, dropped=None) for block in transport.blocks),
         operator=Stacked(tuple(operators)),
         basis=cubemap.Texels(settings.resolution),
         kept=1.0,
-        dropped=None,
     )
 
 
-def _streamed(visibility, groups, frames, reflection, directions) -> Streamed:
+def _streamed(
+    settings: Settings, visibility: store.Layer, receivers: Receivers, groups: np.ndarray, reflection: Reflection
+) -> Streamed:
     """The exact operator of one material's groups, reading visibility from its layer."""
 
     def read_bits(group: int) -> np.ndarray:
         return visibility.read("bits", int(groups[group]))
 
-    return Streamed(read_bits, frames, reflection, directions)
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    return Streamed(read_bits, jnp.asarray(frames_of(receivers, groups)), reflection, directions)
 
 
 def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
-    """The same scene with other reflections, on the same visibility and the same kept coefficients; no ray is traced.
+    """The same scene with another reflection for each block, on the same visibility and kept coefficients; no ray.
 
     Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
     derivative is that of the truncated operator, not of the choice.
     """
     settings = transport.settings
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    operators = []
-    for old, groups, reflection in zip(transport.operator.operators, transport.groups, reflections, strict=True):
+    operators, blocks = [], []
+    for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):
+        groups = block.groups
+        blocks.append(dataclasses.replace(block, reflection=reflection))
         if isinstance(old, Streamed):
             operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
             continue
         assert isinstance(old, SparseRows)
         n = old.indices.shape[-1]
         frames = frames_of(transport.receivers, groups)
-        k, rows = reflection.terms, len(groups) * GROUP * reflection.terms
-        kept = old.indices.reshape(-1, n)[:rows].reshape(len(groups), GROUP, k, n)
+        kept = old.indices.reshape(-1, n)[: old.row_count].reshape(len(groups), GROUP, reflection.terms, n)
         values = [
             bake.bake_kept(
                 jnp.asarray(transport.visibility.read("bits", int(group))),
@@ -226,15 +249,17 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
             )
             for i, group in enumerate(groups)
         ]
-        joined = jnp.concatenate(values).reshape(len(groups), GROUP, k, reflection.channels, n)
-        operators.append(_rows_of_groups(kept, joined, old.columns, jnp))
-    return dataclasses.replace(transport, reflections=reflections, operator=Stacked(tuple(operators)))
+        joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
+        held = padded_receivers(len(groups) * GROUP) * reflection.terms
+        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns, held))
+    return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
 
 
 def _read_geometry(layer: store.Layer) -> Surfaces:
     placement = layer.read("placement", 0)
     return Surfaces(
-        *(layer.read(name, 0) for name in ("vertices", "normals", "faces", "mesh_of_vertex")),
+        *(layer.read(name, 0) for name in ("vertices", "normals", "faces", "uv", "mesh_of_vertex")),
+        *(layer.read(name, 0) for name in ("two_sided", "uv_tangents")),
         centre=placement[:3],
         radius=float(placement[3]),
     )
@@ -250,21 +275,23 @@ def receivers_of(
 
 
 def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:
-    """The tangent frames of the shading normals of some groups."""
-    return _by_group(tangent_frame, receivers.normals[groups])
+    """The tangent frames of some groups."""
+    return _by_group(tangent_frame, receivers.normals[groups], receivers.tangents[groups])
 
 
 def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
     """The exact reflection of some groups of pixel receivers."""
     assert receivers.omega_o is not None
-    omega_o = _by_group(to_local, receivers.normals[groups], receivers.omega_o[groups])
-    return FixedView(brdf, omega_o)  # pyright: ignore[reportArgumentType]
+    arrays = receivers.normals, receivers.tangents, receivers.omega_o
+    return FixedView(brdf, _by_group(to_local, *(array[groups] for array in arrays)))  # pyright: ignore[reportArgumentType]
 
 
 def _by_group(function, *arrays: Float[np.ndarray, "g m ..."]) -> Float[np.ndarray, "g m ..."]:
     """A function of the arrays of one group, for many: compiled once, however many there are."""
     compiled = _compiled(function)
-    return np.stack([compiled(*(part.astype(np.float32) for part in group)) for group in zip(*arrays, strict=True)])
+    # Constants, also where a caller is being traced.
+    with jax.ensure_compile_time_eval():
+        return np.stack([compiled(*(part.astype(np.float32) for part in group)) for group in zip(*arrays, strict=True)])
 
 
 _compiled = functools.cache(jax.jit)
@@ -275,26 +302,22 @@ def read_factors(layer: store.Layer) -> Factored:
     return Factored(jnp.asarray(layer.read("light_maps", 0)), jnp.asarray(layer.read("view_maps", 0)))
 
 
+def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
+    """A texture from its layer, or a constant one from its values."""
+    if isinstance(entry, str):
+        return Texture(jnp.asarray(store.open_layer(folder / entry).read("pixels", 0)))
+    return constant(entry)
+
+
 def padded_receivers(count: int) -> int:
-    """To how many receivers, of zero transport, the operator of a material is filled up."""
+    """For how many receivers light terms of a material are computed: zeros past `count`, which nobody reads."""
     return bucket(count, 8 * GROUP)
 
 
 def _sparse_rows(folder: pathlib.Path, indices: np.ndarray, values: np.ndarray, settings: Settings) -> SparseRows:
-    """The operator of one material's groups, from its layer's arrays."""
+    """The operator of one block, from its layer's arrays [g, m, k, …]."""
     if indices.max() >= 6 * settings.resolution**2:
         raise InputError(f"{folder}: indices are out of range; delete this folder and run precompute again")
-    return _rows_of_groups(indices, values, 6 * settings.resolution**2, np)
-
-
-def _rows_of_groups(
-    indices: Int[np.ndarray | Array, "g m k n"],
-    values: Float[np.ndarray | Array, "g m k c n"],
-    columns: int,
-    lib: types.ModuleType,
-) -> SparseRows:
-    """The operator of some groups, filled up with receivers of zero transport; `lib` is numpy, or jax.numpy."""
     g, m, k, c, n = values.shape
-    more = (0, (padded_receivers(g * m) - g * m) * k), (0, 0)
-    indices = lib.pad(indices.reshape(-1, n), more)
-    return sparse_rows(jnp.asarray(indices), jnp.asarray(lib.pad(values.reshape(-1, c, n), (*more, (0, 0)))), columns)
+    held = padded_receivers(g * m) * k
+    return sparse_rows(indices.reshape(-1, n), values.reshape(-1, c, n), 6 * settings.resolution**2, held)

@@ -21,8 +21,10 @@ from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factors import Factored, factor
+from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
+from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.surfaces import Surfaces, join
@@ -82,13 +84,21 @@ def precompute(
         for part in scene.parts:
             if part.material not in scene.materials:
                 raise InputError(f"{scene.name}: '{part.name}' is of a material '{part.material}' that is not given")
+            if part.mesh.uv is None and as_material(scene.materials[part.material]).needs_uv:
+                raise InputError(
+                    f"{scene.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
+                    "needs; export it with them, or give it another material"
+                )
         surfaces = join([part.mesh for part in scene.parts])
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
-        geometry_key = store.key_of([[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts])
+        shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
+        geometry_key = store.key_of(shapes, surfaces.two_sided)
         folder = pathlib.Path(folder or store.default_folder(geometry_key))
         _make_folder(folder)
-        geometry = _write_geometry(folder / f"geometry-{geometry_key}", surfaces)
+        # No ray depends on texture coordinates.
+        whole_key = store.key_of(geometry_key, surfaces.uv, surfaces.uv_tangents)
+        geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
         tracer = Tracer(surfaces)
         receivers = receivers_of(surfaces, tracer, material_of_mesh, scene.camera, settings)
         if not receivers.count:
@@ -109,23 +119,29 @@ def precompute(
 
     materials = []
     with _timed(seconds, "transport"):
+        frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
         for number, name in enumerate(names):
-            brdf, groups = scene.materials[name], receivers.groups_of(number)
+            groups = receivers.groups_of(number)
             if not len(groups):
                 continue
             terms = scene.terms.get(name, settings.terms)
-            reflection, factors = _factors(folder, brdf, terms, settings)
-            reflection = reflection or fixed_view(brdf, receivers, groups)
-            record = {"name": name, "brdf": to_record(brdf), "factors": factors}
-            if settings.coefficients != "all":
-                # The name of the factors tells their number and their resolution.
-                key = store.key_of(visibility_key, number, record["brdf"], factors, settings.coefficients)
-                layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
-                if layer.missing:
-                    frames, filled = frames_of(receivers, groups), receivers.filled[groups]
-                    _bake_groups(layer, visibility, groups, filled, frames, reflection, settings, name, report)
-                record["transport"] = layer.folder.name
-            materials.append(record)
+            for component in as_material(scene.materials[name]).components:
+                brdf = component.brdf
+                reflection, factors = _factors(folder, brdf, terms, settings)
+                reflection = reflection or fixed_view(brdf, receivers, groups)
+                weight = [_write_texture(folder, texture) for texture in component.weight]
+                record = {"name": name, "number": number, "brdf": to_record(brdf), "factors": factors, "weight": weight}
+                if settings.coefficients != "all":
+                    # The name of the factors tells their number and their resolution.
+                    key = store.key_of(
+                        visibility_key, number, record["brdf"], factors, settings.coefficients, frames_key
+                    )
+                    layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
+                    if layer.missing:
+                        frames, filled = frames_of(receivers, groups), receivers.filled[groups]
+                        _bake_groups(layer, visibility, groups, filled, frames, reflection, settings, name, report)
+                    record["transport"] = layer.folder.name
+                materials.append(record)
 
     header = {
         "jaxrelight": importlib.metadata.version("jaxrelight"),
@@ -185,7 +201,10 @@ def _write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
             "vertices": surfaces.vertices,
             "normals": surfaces.normals,
             "faces": surfaces.faces,
+            "uv": surfaces.uv,
             "mesh_of_vertex": surfaces.mesh_of_vertex,
+            "two_sided": surfaces.two_sided,
+            "uv_tangents": surfaces.uv_tangents,
             "placement": np.array([*surfaces.centre, surfaces.radius]),
         },
     )
@@ -197,6 +216,14 @@ def _write_environment(folder: pathlib.Path, environment: Environment | None) ->
         return None
     layer = _write_once(folder / f"environment-{store.key_of(environment.pixels)}", {"pixels": environment.pixels})
     return {"pixels": layer.folder.name, "rotate_y": environment.rotate_y, "scale": environment.scale}
+
+
+def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
+    """The name of a texture's layer; the values of a constant one."""
+    if texture.is_constant:
+        return np.asarray(texture.pixels[0, 0]).tolist()
+    pixels = np.asarray(texture.pixels)
+    return _write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
 
 
 def _factors(folder: pathlib.Path, brdf: Brdf, terms: int, settings: Settings) -> tuple[Factored | None, str | None]:

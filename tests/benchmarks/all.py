@@ -21,6 +21,12 @@ def main():
             "kernels": [] if quick else ["--store", str(store)],
             "reference_images": [],
             "terms_curve": [],
+            "factor_error": [],
+            "pictures_by_terms": [],
+            "shadow_error": [],
+            "light_truncation": [],
+            "mesh_size": [],
+            "large_scenes": [],
         }
         failed = [name for name, options in programs.items() if not _succeeds(name, options, quick)]
     if failed:

@@ -36,7 +36,7 @@ def main():
     parser.add_argument("--folder", type=pathlib.Path, help="where new stores go, and stay")
     parser.add_argument("--case", type=int, choices=range(len(CASES)), help="one of the cases")
     parser.add_argument("--child", choices=("precompute", "relight"), help=argparse.SUPPRESS)
-    parser.add_argument("--scene", help=argparse.SUPPRESS)
+    parser.add_argument("--scene", type=pathlib.Path, help=argparse.SUPPRESS)
     parser.add_argument("--terms", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--resolution", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -89,13 +89,11 @@ def measure(report: Report, chosen, resolution: int, folder: pathlib.Path):
         store = folder / f"{scene}-{terms}"
         if store.exists():
             raise SystemExit(f"{store} exists already; this measures fresh stores, so remove it or give another folder")
-        where = ["--scene", scene, "--folder", str(store.resolve())]
+        path = shared("reference", f"{scene}.toml")
         before, copy_before = rays.rate(), copy_rate(2)
-        made = run_child(
-            MODULE, "--child", "precompute", "--terms", str(terms), "--resolution", str(resolution), *where
-        )
+        made = precompute_apart(path, terms, resolution, store)
         after, copy_after = rays.rate(), copy_rate(2)
-        lit = run_child(MODULE, "--child", "relight", *where, *(["--quick"] if resolution < 64 else []))
+        lit = relight_apart(path, store, resolution < 64)
         cases.append(Case(scene, terms, made, lit, (before, after), (copy_before, copy_after)))
 
     report.text(
@@ -160,11 +158,23 @@ def _ms(rates: str) -> str:
     return ", ".join(f"{1000 / float(rate):.1f}" if rate != "-" else "-" for rate in rates.split("/"))
 
 
-def precompute_child(name: str, terms: int, resolution: int, folder: pathlib.Path):
+def precompute_apart(scene: pathlib.Path, terms: int, resolution: int, store: pathlib.Path) -> dict:
+    """What `precompute_child` tells, from a process of its own."""
+    dials = "--terms", str(terms), "--resolution", str(resolution)
+    return run_child(MODULE, "--child", "precompute", *dials, "--scene", str(scene), "--folder", str(store.resolve()))
+
+
+def relight_apart(scene: pathlib.Path, store: pathlib.Path, quick: bool) -> dict:
+    """What `relight_child` tells, from a process of its own."""
+    where = "--scene", str(scene), "--folder", str(store.resolve())
+    return run_child(MODULE, "--child", "relight", *where, *(["--quick"] if quick else []))
+
+
+def precompute_child(path: pathlib.Path, terms: int, resolution: int, folder: pathlib.Path):
     """Precomputes in this process, and tells what it took."""
     from jaxrelight import Settings, load_scene, precompute
 
-    scene = load_scene(shared("reference", f"{name}.toml"))
+    scene = load_scene(path)
     start = time.perf_counter()
     done = precompute(scene, Settings(terms=terms, resolution=resolution, coefficients=128), folder)
     wall = time.perf_counter() - start
@@ -174,14 +184,14 @@ def precompute_child(name: str, terms: int, resolution: int, folder: pathlib.Pat
     answer({"seconds": done.seconds, "wall": wall, "rays": done.rays, "receivers": done.receivers, "bytes": kinds})
 
 
-def relight_child(name: str, folder: pathlib.Path, runs: int):
+def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
     """Lights and views in this process, and tells what it took."""
     import jax
     import jax.numpy as jnp
 
     from jaxrelight import Relighter, load_scene
 
-    environment = load_scene(shared("reference", f"{name}.toml")).environment
+    environment = load_scene(path).environment
     assert environment is not None
     start = time.perf_counter()
     relighter = Relighter.open(folder)

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import dataclasses
+import functools
 import pathlib
 import tempfile
 
@@ -27,6 +28,12 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.reference_images", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="resolution 16 instead of 64; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
+    parser.add_argument(
+        "--converged",
+        type=pathlib.Path,
+        help="a folder of SCENE_b0.exr by the reference renderer with many more samples (its own script, --spp 32768): "
+        "errors against them stand beside those against the noisier references",
+    )
     parser.add_argument("--only", choices=("streamed", "dial", "vertices"), help="one of the tables")
     arguments = parser.parse_args()
     shared("reference")
@@ -38,21 +45,45 @@ def main():
         folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
         write = not (arguments.quick or arguments.only)
         report = stack.enter_context(Report("reference_images", "Reference images", parameters, write))
-        parts = {"streamed": streamed, "dial": dial, "vertices": vertices}
+        parts = {
+            "streamed": functools.partial(streamed, converged=arguments.converged),
+            "dial": dial,
+            "vertices": vertices,
+        }
         for name, part in parts.items():
             if arguments.only in (None, name):
                 part(report, folder, coarser)
         report.speed()
 
 
-def streamed(report: Report, folder: pathlib.Path, coarser: int):
-    """Pixel receivers with all coefficients against the reference images."""
-    rows = []
+def streamed(report: Report, folder: pathlib.Path, coarser: int, converged: pathlib.Path | None):
+    """Pixel receivers with all coefficients against the reference images, and against less noisy ones."""
+    from jaxrelight import image_error
+
+    rows, noise = [], {}
     for scene, resolution, target in STREAMED:
         made = render(scene, folder, resolution=resolution // coarser, receivers="pixels", coefficients="all")
-        rows.append([scene, resolution // coarser, *_errors(made.error(_reference(scene)), target), *made.costs])
+        better = _converged(scene, converged)
+        against = ""
+        if better is not None:
+            against = percent(made.error(better).trimmed)
+            noise[scene] = image_error(_reference(scene), better).trimmed
+        errors = _errors(made.error(_reference(scene)), target)
+        rows.append([scene, resolution // coarser, *errors, against, *made.costs])
     report.text("**Pixel receivers, streamed (all coefficients), against `*_b0.exr`.**")
-    report.table(["scene", "resolution", *ERRORS, *COSTS], rows)
+    report.table(["scene", "resolution", *ERRORS, "against more samples", *COSTS], rows)
+    for scene, error in noise.items():
+        report.text(
+            f"The reference image of {scene} is itself {percent(error)} (trimmed) off a picture of the same renderer "
+            "with more samples: no picture can be much nearer to it than that."
+        )
+
+
+def _converged(scene: str, folder: pathlib.Path | None) -> np.ndarray | None:
+    from jaxrelight import read_image
+
+    path = folder / f"{scene}_b0.exr" if folder else None
+    return read_image(path) if path and path.exists() else None
 
 
 def dial(report: Report, folder: pathlib.Path, coarser: int):

@@ -1,14 +1,19 @@
 """Separable factors: exact where they can be, optimal elsewhere."""
 
 import functools
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight.brdf.factors import Factored, factor
+from jaxrelight.brdf import factors as module
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factors import Factored, Symmetric, factor
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.errors import InputError
 
 SIDE = 8
@@ -42,13 +47,13 @@ def sampled(brdf, side: int) -> np.ndarray:
     return np.asarray(evaluate(brdf, omega, omega), float)
 
 
-def sides(factors: Factored, omega) -> tuple[np.ndarray, np.ndarray]:
+def sides(factors: Factored | Symmetric, omega) -> tuple[np.ndarray, np.ndarray]:
     """Light and view side [direction, k, c] by look-up."""
     light, view = look_up(factors, jnp.asarray(omega, jnp.float32))
     return np.asarray(light, float), np.asarray(view, float)
 
 
-def product(factors: Factored, omega) -> np.ndarray:
+def product(factors: Factored | Symmetric, omega) -> np.ndarray:
     """Σ_k light_side · view_side between all given directions: [i, o, c]."""
     return np.einsum("ikc,okc->ioc", *sides(factors, omega))
 
@@ -183,3 +188,169 @@ def test_an_impossible_number_of_terms_is_refused(terms):
 
 def test_factors_are_shared_by_all_receivers():
     assert jax.tree.leaves(Factored(jnp.ones((1, 1, 1, 1)), jnp.ones((1, 1, 1, 1))).per_receiver) == [False, False]
+
+
+FORMS = pytest.mark.parametrize("form", ["svd", "symmetric", "normalised"])
+PARAMETRISATIONS = pytest.mark.parametrize("parametrisation", [DISC, POLAR], ids=["disc", "polar"])
+# Tight in one direction, and with a base that is no constant.
+ANISOTROPIC = ashikhmin_shirley([0.5, 0.2, 0.7], [0.3, 0.75, 0.05], 2, 12)
+
+
+@FORMS
+@PARAMETRISATIONS
+@pytest.mark.parametrize("cosine", [(0, 0), (0.5, 0.5)])
+def test_a_product_is_recovered_by_one_term(form, parametrisation, cosine):
+    """f = 3 (z_i z_o)² is of rank one."""
+    brdf = lobe_sum(0, [lobe([0, 0, 1], 2, peak=[3, 2, 1])])
+    factors = factor(brdf, 1, 24, form=form, parametrisation=parametrisation, cosine=cosine)
+    omega, inside = parametrisation.directions(24)
+    expected = np.multiply.outer(np.multiply.outer(omega[inside, 2] ** 2, omega[inside, 2] ** 2), [3, 2, 1])
+    np.testing.assert_allclose(product(factors, omega[inside]), expected, atol=3e-4)
+
+
+@pytest.mark.parametrize("form", ["svd", "symmetric"])
+@PARAMETRISATIONS
+@pytest.mark.parametrize("cosine", [(0, 0), (0.5, 0.5)])
+def test_the_weighted_error_is_the_least_there_is(form, parametrisation, cosine):
+    """Against NumPy's singular values of the weighted matrix, for every K."""
+    omega, inside = parametrisation.directions(SIDE)
+    omega, weight = omega[inside], np.sqrt(parametrisation.measure(SIDE)[inside])
+    weights = [weight * omega[:, 2] ** power for power in cosine]
+    exact = np.asarray(evaluate(ANISOTROPIC, *[jnp.asarray(omega, jnp.float32)] * 2), float)
+    matrix = exact * np.multiply.outer(*weights)[..., None]
+    sigma = np.stack([np.linalg.svd(matrix[..., c], compute_uv=False) for c in range(3)])
+    errors = []
+    for terms in (1, 3, 8):
+        found = product(
+            factor(ANISOTROPIC, terms, SIDE, form=form, parametrisation=parametrisation, cosine=cosine), omega
+        )
+        error = np.sum((found - exact) ** 2 * np.multiply.outer(*weights)[..., None] ** 2, axis=(0, 1))
+        np.testing.assert_allclose(error, np.sum(sigma[:, terms:] ** 2, axis=-1), rtol=5e-3)
+        errors.append(error)
+    assert (np.diff(errors, axis=0) < 0).all()
+
+
+def test_folding_the_cosine_in_lowers_the_error_that_it_weighs():
+    omega, _ = disc(SIDE)
+    exact, cosine = sampled(ANISOTROPIC, SIDE), omega[:, 2]
+
+    def errors(powers):
+        apart = product(factor(ANISOTROPIC, 2, SIDE, cosine=powers), omega) - exact
+        return np.array([np.linalg.norm(apart), np.linalg.norm(apart * cosine[:, None, None])])
+
+    plain, folded = errors((0, 0)), errors((1, 0))
+    assert plain[0] < folded[0]
+    assert folded[1] < plain[1]
+
+
+@PARAMETRISATIONS
+def test_the_symmetric_form_is_reciprocal_between_any_directions(parametrisation):
+    vectors = np.random.default_rng(0).normal(size=(40, 3))
+    vectors[:, 2] = np.abs(vectors[:, 2])
+    omega = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    factors = factor(ANISOTROPIC, 3, 16, form="symmetric", parametrisation=parametrisation)
+    assert isinstance(factors, Symmetric)
+    assert (factors.terms, factors.channels) == (3, 3)
+    found = product(factors, omega)
+    np.testing.assert_allclose(found, found.transpose(1, 0, 2), rtol=1e-6, atol=1e-7 * np.abs(found).max())
+    assert set(np.unique(factors.signs)) == {-1, 1}
+
+
+def test_the_symmetric_form_is_the_singular_one():
+    """Also at directions beyond the outermost texels."""
+    omega = np.array([[0, 0, 1], [0.6, 0, 0.8], [-0.36, 0.48, 0.8], [1, 0, 0], [0.7, -0.7, 0.14]])
+    one, other = (product(factor(ANISOTROPIC, 4, 16, form=form), omega) for form in ("symmetric", "svd"))
+    np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(one).max())
+
+
+class _OneWay(Brdf):
+    """Not reciprocal: it depends on the light alone."""
+
+    scale: jax.Array
+
+    def evaluate(self, omega_i, omega_o):
+        return self.scale * omega_i[2]
+
+    @property
+    def channels(self) -> int:
+        return 3
+
+    @property
+    def is_constant(self) -> bool:
+        return False
+
+
+def test_the_symmetric_form_refuses_what_is_not_symmetric():
+    with pytest.raises(InputError, match="needs a reciprocal BRDF"):
+        factor(_OneWay(jnp.ones(3)), 1, SIDE, form="symmetric")
+    with pytest.raises(InputError, match="same power of the cosine"):
+        factor(GLOSSY, 1, SIDE, form="symmetric", cosine=(1, 0))
+    found = product(factor(_OneWay(jnp.ones(3)), 1, SIDE), disc(SIDE)[0])
+    np.testing.assert_allclose(found[:, 0, 0], disc(SIDE)[0][:, 2], rtol=1e-5)
+
+
+@PARAMETRISATIONS
+def test_the_normalised_form_is_never_negative_and_keeps_the_reflectance(parametrisation):
+    """Its light map is the mean of f over views weighted by their cosine: the reflectance from ω_i, over π."""
+    factors = factor(ANISOTROPIC, 1, SIDE, form="normalised", parametrisation=parametrisation)
+    assert isinstance(factors, Factored)
+    assert np.asarray(factors.light_maps).min() >= 0
+    assert np.asarray(factors.view_maps).min() >= 0
+    omega, inside = parametrisation.directions(SIDE)
+    omega, weight = omega[inside], parametrisation.measure(SIDE)[inside]
+    exact = np.asarray(evaluate(ANISOTROPIC, *[jnp.asarray(omega, jnp.float32)] * 2), float)
+    mean = np.einsum("ioc,o->ic", exact, weight / weight.sum())
+    np.testing.assert_allclose(sides(factors, omega)[0][:, 0], mean, rtol=1e-4)
+    found = np.einsum("ioc,o->ic", product(factors, omega), weight / weight.sum())
+    np.testing.assert_allclose(found, mean, rtol=1e-4)
+    with pytest.raises(InputError, match="has one term, not 2"):
+        factor(ANISOTROPIC, 2, SIDE, form="normalised")
+
+
+@FORMS
+def test_a_constant_is_exact_in_every_form(form):
+    brdf = lambert([0.2, 0.5, 0.0])
+    found = product(factor(brdf, 1, form=form), disc(4)[0])
+    np.testing.assert_allclose(found, np.broadcast_to(np.array([0.2, 0.5, 0]) / np.pi, found.shape), rtol=1e-6)
+
+
+def test_an_unknown_form_and_a_matrix_too_large_are_refused():
+    with pytest.raises(InputError, match="form of factors is 'cur'; known are svd, symmetric, normalised"):
+        factor(GLOSSY, 1, SIDE, form="cur")  # pyright: ignore
+    with pytest.raises(InputError, match=r"resolution 256 need 9\.9 GiB; ask for at most 128"):
+        factor(GLOSSY, 1, 256)
+
+
+def test_blocks_and_single_precision_change_nothing_but_rounding(monkeypatch):
+    omega = disc(16)[0]
+    whole = product(factor(ANISOTROPIC, 3, 16), omega)
+    monkeypatch.setattr(module, "_BLOCK", 7 * len(omega) + 1)
+    monkeypatch.setattr(module, "_DOUBLE", 0)
+    np.testing.assert_allclose(product(factor(ANISOTROPIC, 3, 16), omega), whole, atol=1e-4 * whole.max())
+
+
+class _Counted(Brdf):
+    """Counts how often it is traced."""
+
+    scale: jax.Array
+    traces: ClassVar[list[int]] = []
+
+    def evaluate(self, omega_i, omega_o):
+        self.traces.append(1)
+        return self.scale * omega_i[2] * omega_o[2]
+
+    @property
+    def channels(self) -> int:
+        return 3
+
+    @property
+    def is_constant(self) -> bool:
+        return False
+
+
+def test_another_brdf_of_the_same_kind_is_not_compiled_again():
+    factor(_Counted(jnp.asarray([1.0, 2, 3])), 2, SIDE)
+    traces = len(_Counted.traces)
+    assert traces
+    factor(_Counted(jnp.asarray([3.0, 3, 1])), 2, SIDE)
+    assert len(_Counted.traces) == traces

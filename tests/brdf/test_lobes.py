@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum, phong
 from jaxrelight.errors import InputError
 
@@ -34,7 +35,7 @@ def evaluate(brdf, omega_i, omega_o):
     return jax.vmap(brdf.evaluate)(omega_i, omega_o)
 
 
-def at(brdf: LobeSum, omega_i, omega_o, dtype=jnp.float32) -> np.ndarray:
+def at(brdf: Brdf, omega_i, omega_o, dtype=jnp.float32) -> np.ndarray:
     return np.asarray(evaluate(brdf, jnp.asarray(omega_i, dtype), jnp.asarray(omega_o, dtype)), float)
 
 
@@ -194,7 +195,7 @@ def test_a_lobe_of_nothing_reflects_nothing():
     np.testing.assert_array_equal(at(brdf, PAIRS[:, 0], PAIRS[:, 1]), 0)
 
 
-def albedo(brdf: LobeSum, omega_o: np.ndarray, lowest: float = 0.0) -> np.ndarray:
+def albedo(brdf: Brdf, omega_o: np.ndarray, lowest: float = 0.0) -> np.ndarray:
     """∫ f cosθ dω over the hemisphere above cosθ = lowest by Gauss's rule, in float64."""
     node, weight = np.polynomial.legendre.leggauss(128)
     z, weight = lowest + (node + 1) / 2 * (1 - lowest), weight / 2 * (1 - lowest)

@@ -3,10 +3,12 @@
 import json
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.record import from_record, to_record
 
@@ -18,6 +20,7 @@ BRDFS = {
         [lobe(np.array([[-0.9, -0.9, 0.7], [-1.1, -1, 0.5], [0.3, 0.2, 0.8]]), [5, 10, 2.5], peak=[1e-30, 2, 3])],
         dtype,
     ),
+    "ashikhmin_shirley": lambda dtype: ashikhmin_shirley([0.1, 1 / 3, 0.7], 0.2, 10 / 3, 1e4, dtype),
 }
 
 
@@ -34,12 +37,12 @@ def test_round_trip_is_exact(name):
 @pytest.mark.parametrize("name", BRDFS)
 def test_round_trip_is_exact_in_float64(x64, name):
     brdf = BRDFS[name](jnp.float64)
-    assert brdf.diffuse.dtype == np.float64
+    assert {leaf.dtype for leaf in jax.tree.leaves(brdf)} == {np.dtype(np.float64)}
     assert eqx.tree_equal(round_trip(brdf, jnp.float64), brdf)
 
 
 def test_what_comes_back_is_a_brdf():
-    for brdf in (lambert(0.5), phong(0.1, 0.5, 20)):
+    for brdf in (lambert(0.5), phong(0.1, 0.5, 20), ashikhmin_shirley(0.5, 0.75, 10, 100)):
         back = round_trip(brdf, jnp.float32)
         assert back.is_constant == brdf.is_constant
         assert back.channels == 3

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from jaxrelight.errors import InputError
-from jaxrelight.geometry import mesh_files
 from jaxrelight.geometry.mesh import Mesh, bounds, face_normals, load_mesh, normalized, transformed
 from jaxrelight.geometry.primitives import box, sphere
+from jaxrelight.geometry.raw_mesh import FilePart, RawMesh
 from jaxrelight.geometry.repair import repaired
 from tests.shared_data import shared
 
@@ -173,9 +173,15 @@ def test_sound_meshes_are_as_trimesh_loads_them(name):
     mesh, reference = load_mesh(path), trimesh.load_mesh(path, process=True)
     check(mesh)
     assert mesh.notes == ()
-    np.testing.assert_array_equal(mesh.vertices, reference.vertices)
-    np.testing.assert_array_equal(mesh.faces, reference.faces)
-    np.testing.assert_allclose(mesh.normals, reference.vertex_normals, atol=1e-12)
+    assert len(mesh.vertices) == len(reference.vertices)
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], reference.vertices[reference.faces])
+    uv = getattr(reference.visual, "uv", None)
+    assert (mesh.uv is None) == (uv is None)
+    if mesh.uv is not None and uv is not None:
+        np.testing.assert_allclose(mesh.uv[mesh.faces], uv[reference.faces], atol=1e-12)
+    # Normals are shared where texture coordinates part.
+    reference.merge_vertices(merge_tex=True, merge_norm=True)
+    np.testing.assert_allclose(mesh.normals[mesh.faces], reference.vertex_normals[reference.faces], atol=1e-12)
 
 
 def test_normalized_and_transformed_are_as_in_the_reference_script():
@@ -187,8 +193,7 @@ def test_normalized_and_transformed_are_as_in_the_reference_script():
     reference.apply_scale(0.8 / (high - low).max())
     reference.apply_transform(matrix)
     mesh = transformed(normalized(load_mesh(path), 0.8), matrix)
-    np.testing.assert_allclose(mesh.vertices, reference.vertices, atol=1e-12)
-    np.testing.assert_array_equal(mesh.faces, reference.faces)
+    np.testing.assert_allclose(mesh.vertices[mesh.faces], reference.vertices[reference.faces], atol=1e-12)
 
 
 def test_relative_indices_are_those_of_the_absolute_file():
@@ -287,6 +292,26 @@ def test_quads_and_polygons_in_ply_become_fans(tmp_path):
         assert len(quad.vertices) == 4
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_short_polygons_in_ply_are_counted(tmp_path, encoding):
+    vertices = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    mesh = load_mesh(written(tmp_path, "short.ply", ply(vertices, [(0, 1, 2), (0, 2, 3), (0, 1), ()], encoding)))
+    assert len(mesh.faces) == 2
+    assert mesh.notes == ("dropped 2 of 4 faces: fewer than three vertex numbers",)
+    assert "points or lines only" in refusal(written(tmp_path, "lines.ply", ply(vertices, [(0, 1)], encoding)))
+
+
+def test_surplus_unended_and_broken_rows_of_an_ascii_ply_are_told(tmp_path):
+    whole = FILES["ascii.ply"]
+    fewer = load_mesh(written(tmp_path, "fewer.ply", whole.replace(b"face 48", b"face 40")))
+    assert len(fewer.faces) == 40
+    assert fewer.notes[0] == "ignored 8 rows after the promised ones"
+    assert "may be cut short" in load_mesh(written(tmp_path, "end.ply", whole[:-1])).notes[0]
+    assert "damaged" in refusal(written(tmp_path, "part.ply", whole.replace(b"\n3 ", b"\n3 0.", 1)))
+    lost = load_mesh(written(tmp_path, "row.ply", whole.replace(b"\n3 7 16 15", b"\n3 7 16")))
+    assert lost.notes[-1] == "dropped 1 of 48 faces: fewer than three vertex numbers"
+
+
 def test_ply_extras_are_passed_over(tmp_path):
     body = "0 0 0 9 .5 .5\n1 0 0 9 .5 .5\n0 1 0 9 .5 .5\n1 3 0 1 7 255\n0 1\n"
     header = (
@@ -361,7 +386,7 @@ def test_obj_dialects(tmp_path):
     assert len(mesh.faces) == 3
     np.testing.assert_allclose(mesh.normals, [[0, 0, 1]] * len(mesh.vertices), atol=1e-12)
     assert volume(mesh) == 0
-    assert mesh.notes == ("normals computed for 2 vertices: the file's are unusable",)
+    assert mesh.notes == ("texture coordinates are missing at 2 of 4 vertices; (0, 0) is taken",)
 
 
 def test_obj_faults_are_counted_by_reason(tmp_path):
@@ -380,11 +405,11 @@ def test_obj_faults_are_counted_by_reason(tmp_path):
     )
 
 
-def test_absolute_obj_keeps_absolute_triangles():
-    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 5 5\nf 1 -3 -1\n"
-    plain, lost, notes = mesh_files.absolute_obj(text)
-    assert [line for line in plain.splitlines() if line.startswith("f")] == ["f 1 2 3", "f 1 2 4"]
-    assert (lost, notes) == ({}, [])
+def test_negative_numbers_count_from_their_line(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 5 5\nf -3 1 -1\n"
+    mesh = load_mesh(written(tmp_path, "relative.obj", text))
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [1, 0, 3]])
+    assert mesh.notes == ()
 
 
 def test_a_last_obj_line_without_end_is_reported(tmp_path):
@@ -405,8 +430,8 @@ def test_what_is_no_readable_file(tmp_path):
     assert "No such file" in refusal(tmp_path / "absent.ply")
     (tmp_path / "folder.ply").mkdir()
     assert "cannot be read" in refusal(tmp_path / "folder.ply")
-    with pytest.raises(InputError, match=r"unknown mesh format '\.gltf'; use \.ply, \.obj or \.stl"):
-        load_mesh(tmp_path / "a.gltf")
+    with pytest.raises(InputError, match=r"unknown mesh format '\.fbx'; use \.ply, \.obj, \.stl, \.glb or \.gltf"):
+        load_mesh(tmp_path / "a.fbx")
     with pytest.raises(InputError, match="unknown mesh format ''"):
         load_mesh("")
     with pytest.raises(InputError, match="cannot be read"):
@@ -492,8 +517,9 @@ def test_repair_leaves_nothing_to_repair():
     for name in ("derived_half_flipped_winding.ply", "derived_degenerate_duplicate_faces.ply", "capsule.obj"):
         mesh = load_mesh(shared("data", "mesh_broken", name))
         none = np.zeros(len(mesh.vertices), bool)
-        raw = mesh_files.RawMesh(mesh.vertices, mesh.faces, mesh.normals, none, np.zeros((len(none), 1)))
-        again = Mesh(*repaired(raw))
+        uv, part = np.full((len(none), 2), np.nan), np.zeros(len(none), int)
+        raw = RawMesh(mesh.vertices, mesh.faces, mesh.normals, none, uv, part, [FilePart("all")])
+        again = repaired(raw)
         assert [note for note in again.notes if "dropped" in note or "turned" in note] == []
 
 

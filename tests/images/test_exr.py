@@ -8,6 +8,8 @@ import pytest
 from jaxrelight.errors import InputError
 from jaxrelight.images import read_image
 from jaxrelight.images.exr import read_exr, write_exr
+from tests.images import exr_writer
+from tests.images.exr_writer import Part
 from tests.shared_data import shared
 
 LIMIT = 2**27
@@ -51,7 +53,18 @@ def test_strided_and_double_arrays_are_written(path):
 
 
 @pytest.mark.parametrize(
-    "names", ["RGB", "RGBA", ["ViewLayer.Combined." + c for c in "RGBA"], ["left.x." + c for c in "RGB"]]
+    "names",
+    [
+        "RGB",
+        "RGBA",
+        "rgb",
+        "rgba",
+        ["red", "green", "blue"],
+        ["Red", "Green", "Blue", "Alpha"],
+        ["ViewLayer.Combined." + c for c in "RGBA"],
+        ["left.x." + c for c in "RGB"],
+        ["diffuse." + c for c in "rgb"],
+    ],
 )
 def test_colours_are_found_by_name(path, names):
     pixels = _pixels(len(names))
@@ -80,11 +93,17 @@ def test_luminance_becomes_grey(path):
     np.testing.assert_array_equal(read_exr(path, LIMIT), pixels[..., [0, 0, 0, 1]])
 
 
-@pytest.mark.parametrize("names", ["RG", "XYZ", ["Y", "RY", "BY"], "Z", ["N.X", "N.Y", "N.Z"]])
+@pytest.mark.parametrize("names", ["RG", "XYZ", "xyz", "Z", ["N.X", "N.Y", "N.Z"]])
 def test_channels_without_colours_are_named(path, names):
     with pytest.raises(InputError, match="no colours among the channels") as caught:
         read_exr(_write(path, _planes(_pixels(len(names)), names)), LIMIT)
     assert all(repr(name) in str(caught.value) for name in names)
+
+
+def test_capital_names_come_first(path):
+    pixels = _pixels(6)
+    _write(path, _planes(pixels, "RGBrgb"))
+    np.testing.assert_array_equal(read_exr(path, LIMIT), pixels[..., :3])
 
 
 def test_half_and_mixed_precision(path):
@@ -113,6 +132,143 @@ def test_tiles(path):
     pixels = _pixels(3)
     _write(path, {"RGB": pixels}, type=OpenEXR.tiledimage, tiles=OpenEXR.TileDescription())
     np.testing.assert_array_equal(read_exr(path, LIMIT), pixels)
+
+
+# ---- files of another writer -----------------------------------------------------------------------------------------
+
+
+def _written(path, *parts: Part):
+    path.write_bytes(exr_writer.picture(*parts))
+    return path
+
+
+STORED = {"lines": {}, "tiles": {"tile": 8}, "one tile": {"tile": 64}, "levels": {"tile": 8, "mipmap": True}}
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+@pytest.mark.parametrize("stored", STORED)
+def test_scan_lines_and_tiles_of_half_and_float(path, dtype, stored):
+    pixels = _pixels(3).astype(dtype)
+    back = read_exr(_written(path, Part(exr_writer.planes(pixels, "RGB"), **STORED[stored])), LIMIT)
+    assert back.dtype == np.float32
+    np.testing.assert_array_equal(back, pixels)
+
+
+@pytest.mark.parametrize("stored", STORED)
+@pytest.mark.parametrize("chunk", [0, 7, -1])
+def test_missing_chunks_are_refused(path, stored, chunk):
+    part = Part(exr_writer.planes(_pixels(3), "RGB"), **STORED[stored])
+    part.missing = [range(len(part.chunks()))[chunk if len(part.chunks()) > 1 else 0]]
+    with pytest.raises(InputError, match="cut short"):
+        read_exr(_written(path, part), LIMIT)
+
+
+@pytest.mark.parametrize("second", [{}, {"tile": 4}, {"corner": (10, 5)}])
+def test_parts_of_different_kinds(path, second):
+    pixels, whole = _pixels(3), (0, 0, 29, 19)
+    depth = Part(exr_writer.planes(pixels[5:15, 10:20], "Z"), display=whole, **second)
+    beauty = Part(exr_writer.planes(pixels, "RGB"), display=whole)
+    later = Part(exr_writer.planes(0 * pixels, "RGB"), display=whole)
+    for parts in ([beauty, depth], [depth, beauty], [depth, beauty, later]):
+        np.testing.assert_array_equal(read_exr(_written(path, *parts), LIMIT), pixels)
+    depth.missing = [1]
+    with pytest.raises(InputError, match="cut short"):
+        read_exr(_written(path, depth, beauty), LIMIT)
+
+
+def test_integers_beside_the_colours_are_passed_over(path):
+    pixels = _pixels(3)
+    channels = exr_writer.planes(pixels, "RGB") | {"id": np.arange(600, dtype=np.uint32).reshape(20, 30)}
+    np.testing.assert_array_equal(read_exr(_written(path, Part(channels)), LIMIT), pixels)
+
+
+def test_luminance_and_chroma_are_refused(path):
+    small = _pixels(1, 10, 15)[..., 0]
+    part = Part({"Y": _pixels(1)[..., 0], "RY": small, "BY": small}, sampling={"RY": (2, 2), "BY": (2, 2)})
+    with pytest.raises(InputError, match=r"luminance and chroma \(Y, RY, BY\)"):
+        read_exr(_written(path, part), LIMIT)
+
+
+def test_subsampled_colours_are_refused(path):
+    channels = exr_writer.planes(_pixels(2), "RG") | {"B": _pixels(1, 10, 15)[..., 0]}
+    with pytest.raises(InputError, match="channel B holds integers or is subsampled"):
+        read_exr(_written(path, Part(channels, sampling={"B": (2, 2)})), LIMIT)
+
+
+def test_primaries_are_converted(path):
+    pixels = _pixels(4)
+    for chromaticities, matrix in (
+        ((0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329), np.eye(3)),
+        (
+            (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),
+            np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]]),
+        ),
+    ):
+        attribute = {"chromaticities": ("chromaticities", struct.pack("<8f", *chromaticities))}
+        back = read_exr(_written(path, Part(exr_writer.planes(pixels, "RGBA"), attributes=attribute)), LIMIT)
+        np.testing.assert_allclose(back[..., :3], pixels[..., :3] @ matrix.T, atol=2e-4)
+        np.testing.assert_array_equal(back[..., 3], pixels[..., 3])
+    attribute = {"chromaticities": ("chromaticities", struct.pack("<8f", *[0.3] * 8))}
+    with pytest.raises(InputError, match="chromaticities are not usable"):
+        read_exr(_written(path, Part(exr_writer.planes(pixels, "RGBA"), attributes=attribute)), LIMIT)
+
+
+def _with_window(data: bytes, name: bytes, width: int, height: int) -> bytes:
+    at = data.index(name + b"\0box2i\0") + len(name) + 11
+    return data[:at] + struct.pack("<4i", 0, 0, width - 1, height - 1) + data[at + 16 :]
+
+
+@pytest.mark.parametrize("stored", [{}, {"tile": 8}])
+def test_a_window_with_too_few_rows_is_refused(path, stored):
+    whole = exr_writer.picture(Part(exr_writer.planes(_pixels(3), "RGB"), **stored))
+    for rows in (4, 8, 12):
+        path.write_bytes(_with_window(whole, b"dataWindow", 30, rows))
+        with pytest.raises(InputError, match="claims fewer pixels than the file holds"):
+            read_exr(path, LIMIT)
+
+
+@pytest.mark.parametrize("name", ["channels", "compression", "dataWindow", "displayWindow", "lineOrder"])
+def test_attributes_that_say_what_the_pixels_are_must_be_there(path, name):
+    """The library would take a display window of 64 × 64 pixels for a lost one."""
+    whole = exr_writer.picture(Part(exr_writer.planes(_pixels(3), "RGB")))
+    for old, new in ((name, name[:-1] + "_"), (name + "\0", name + "\0x")):
+        path.write_bytes(whole.replace(old.encode(), new.encode(), 1))
+        with pytest.raises(InputError, match=f"lacks '{name}'|damaged or cut-short"):
+            read_exr(path, LIMIT)
+
+
+def test_an_empty_border_must_not_be_most_of_the_picture(path):
+    whole = exr_writer.picture(Part(exr_writer.planes(_pixels(3), "RGB")))
+    path.write_bytes(_with_window(whole, b"displayWindow", 2000, 1000))
+    assert read_exr(path, LIMIT).shape == (1000, 2000, 3)
+    path.write_bytes(_with_window(whole, b"displayWindow", 10_000, 10_000))
+    with pytest.raises(InputError, match="display window has 100,000,000 pixels, but only 600 are stored"):
+        read_exr(path, LIMIT)
+
+
+COMPRESSIONS = {
+    "NO": 0, "RLE": 0, "ZIPS": 0, "ZIP": 0, "PIZ": 0, "PXR24": 1e-4, "B44": 0.05, "B44A": 0.05, "DWAA": 0.02,
+    "DWAB": 0.02, "HTJ2K32": 0, "HTJ2K256": 0, "ZSTD": 0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+@pytest.mark.parametrize("name", COMPRESSIONS)
+def test_every_compression(path, name, dtype, tiled):
+    kind = getattr(OpenEXR, f"{name}_COMPRESSION", None)
+    if kind is None:
+        pytest.skip(f"this OpenEXR has no {name}")
+    v, u = np.mgrid[0:40, 0:50] / 50
+    pixels = np.stack([u, v, 1 + u * v, 0 * u], axis=-1).astype(dtype)
+    header = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()} if tiled else {}
+    back = read_exr(_write(path, _planes(pixels, "RGBA"), compression=kind, **header), LIMIT)
+    np.testing.assert_allclose(back, pixels, rtol=0, atol=COMPRESSIONS[name])
+    whole = path.read_bytes()
+    for length in np.linspace(0, len(whole) - 1, 20).astype(int):
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError, match="; "):
+            read_exr(path, LIMIT)
 
 
 @pytest.mark.parametrize("corner", [(0, 0), (5, 6), (-4, -3), (-35, 2), (50, 0)])

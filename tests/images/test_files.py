@@ -108,6 +108,18 @@ def test_damage_is_refused_or_read_never_worse(tmp_path, name):
             assert read_image(path, 2**20).dtype == np.float32
 
 
+def test_a_png_with_a_wrong_checksum_is_refused(tmp_path):
+    """Pillow would show the pixels up to the damage, and something else after it."""
+    path = tmp_path / "a.png"
+    Image.fromarray(tone_map(_pixels())).save(path)
+    whole = path.read_bytes()
+    pixels = whole.index(b"IDAT") + 20
+    for damaged in (whole[:pixels] + b"\x55" + whole[pixels:], whole[:pixels] + b"\x55" + whole[pixels + 1 :]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match=r"a\.png: not a PNG file, or damaged"):
+            read_image(path)
+
+
 def _png_claiming(width, height):
     def chunk(kind, content):
         return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))

@@ -2,9 +2,12 @@ import contextlib
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from jaxrelight.errors import InputError
 from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
+from tests.images import radiance_writer
 from tests.shared_data import shared
 
 LIMIT = 2**27
@@ -71,22 +74,73 @@ def test_exposure_and_colour_correction_are_divided_out():
     np.testing.assert_allclose(_decode(header + data), [values / [8, 16, 4]])
 
 
+def _bytes_with_runs(height, width, seed=0):
+    random = np.random.default_rng(seed)
+    pixels = random.integers(2, 256, (height, width, 4)).astype(np.uint8)  # 1, 1, 1 would be a run
+    pixels = np.repeat(pixels, random.integers(1, 9, width), axis=1)[:, :width]
+    pixels[..., 1] = pixels[:, :1, 1]  # a component of one long run
+    pixels[..., 3] = 100 + pixels[..., 3] % 60
+    pixels[random.random((height, width)) < 0.1] = 0
+    return pixels
+
+
+@pytest.mark.parametrize("coding", ["flat", "old", "new"])
+@pytest.mark.parametrize("orientation", radiance_writer.ORIENTATIONS)
+@pytest.mark.parametrize("size", [(9, 31), (31, 9)])
+def test_every_coding_in_every_orientation(coding, orientation, size):
+    rgbe = _bytes_with_runs(*size)
+    data = radiance_writer.picture(rgbe, coding, orientation)
+    np.testing.assert_array_equal(_decode(data), radiance_writer.values(rgbe).astype(np.float32))
+
+
 @pytest.mark.parametrize(
-    ("resolution", "arrange"),
-    [
-        (b"-Y 2 +X 3", lambda a: a.reshape(2, 3, 3)),
-        (b"+Y 2 +X 3", lambda a: a.reshape(2, 3, 3)[::-1]),
-        (b"-Y 2 -X 3", lambda a: a.reshape(2, 3, 3)[:, ::-1]),
-        (b"+Y 2 -X 3", lambda a: a.reshape(2, 3, 3)[::-1, ::-1]),
-        (b"+X 2 -Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)),
-        (b"+X 2 +Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)[::-1]),
-        (b"-X 2 -Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)[:, ::-1]),
-        (b"-X 2 +Y 3", lambda a: a.reshape(2, 3, 3).swapaxes(0, 1)[::-1, ::-1]),
-    ],
+    ("coding", "width"),
+    [("flat", 1), ("old", 1), ("flat", 7), ("old", 7), ("new", 8), ("new", 32767), ("flat", 32768), ("old", 40_000)],
 )
-def test_all_orientations(resolution, arrange):
-    data, values = _flat([[128 + i, 2 * i, 3, 129] for i in range(6)])
-    np.testing.assert_allclose(_decode(HEADER + resolution + b"\n" + data), arrange(values))
+def test_narrow_and_wide_pictures(coding, width):
+    rgbe = _bytes_with_runs(2, width)
+    expected = radiance_writer.values(rgbe).astype(np.float32)
+    np.testing.assert_array_equal(_decode(radiance_writer.picture(rgbe, coding)), expected)
+
+
+@given(
+    first=st.sampled_from(["#?RADIANCE", "#?RGBE", "#?AUTOPANO", None]),
+    newline=st.sampled_from(["\n", "\r\n"]),
+    coding=st.sampled_from(["flat", "old", "new"]),
+    orientation=st.sampled_from(radiance_writer.ORIENTATIONS),
+    exposures=st.lists(st.sampled_from([0.5, 2.0, 1e-3, 12.5]), max_size=3),
+    corrections=st.lists(st.sampled_from([(1, 2, 4), (0.5, 1, 3)]), max_size=2),
+    others=st.lists(
+        st.sampled_from(
+            ["# a comment", "VIEW=-vtl -vh 90", "rpict -x 8 scene.oct", "PIXASPECT=1", "GAMMA=1", "\tpcomb -x"]
+        ),
+        max_size=3,
+    ),
+    chance=st.randoms(use_true_random=False),
+)
+def test_every_header_that_people_have(first, newline, coding, orientation, exposures, corrections, others, chance):
+    lines = [f"EXPOSURE={value}" for value in exposures]
+    lines += ["COLORCORR= {} {} {}".format(*value) for value in corrections]
+    lines += ["FORMAT=32-bit_rle_rgbe", *others]
+    chance.shuffle(lines)
+    rgbe = _bytes_with_runs(9, 12)
+    data = radiance_writer.picture(rgbe, coding, orientation, first, lines, newline)
+    scale = np.prod(exposures) * np.prod(np.array(corrections).reshape(-1, 3), axis=0)
+    np.testing.assert_allclose(_decode(data), radiance_writer.values(rgbe) / scale, rtol=1e-6)
+
+
+def test_primaries_are_converted_or_known_to_be_the_same():
+    rgbe = _bytes_with_runs(4, 9)
+    plain = _decode(radiance_writer.picture(rgbe))
+
+    def read(primaries):
+        return _decode(radiance_writer.picture(rgbe, lines=["FORMAT=32-bit_rle_rgbe", f"PRIMARIES= {primaries}"]))
+
+    for usual in (".640 .330 .290 .600 .150 .060 .333 .333", ".64 .33 .30 .60 .15 .06 .3127 .3290"):
+        np.testing.assert_array_equal(read(usual), plain)
+    wide = read(".708 .292 .170 .797 .131 .046 .3127 .3290")  # Rec.2020, whose matrix ITU-R BT.2087 prints
+    matrix = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])
+    np.testing.assert_allclose(wide, plain @ matrix.T, rtol=0, atol=2e-4 * plain.max())
 
 
 def test_old_run_length_coding():
@@ -131,6 +185,10 @@ def test_damage_is_refused_or_read_never_worse():
         (b"#?RADIANCE\nEXPOSURE=bright\n\n-Y 1 +X 1\n\0\0\0\0", "EXPOSURE"),
         (b"#?RADIANCE\nEXPOSURE=0\n\n-Y 1 +X 1\n\0\0\0\0", "not a positive number"),
         (b"#?RADIANCE\nCOLORCORR=1 2\n\n-Y 1 +X 1\n\0\0\0\0", "COLORCORR"),
+        (b"#?RADIANCE\nPRIMARIES=1 2 3\n\n-Y 1 +X 1\n\0\0\0\0", "PRIMARIES"),
+        (b"#?RADIANCE\nPRIMARIES=0 0 0 0 0 0 0 0\n\n-Y 1 +X 1\n\0\0\0\0", "PRIMARIES"),
+        (b"#?RADIANCE\nGAMMA=2.2\n\n-Y 1 +X 1\n\0\0\0\0", "GAMMA other than 1"),
+        (HEADER + b"-Y 1 +X 1\n\2\2\2\x80\3\3\3\x80", "4 bytes after the last of its 1 scanlines"),
         (HEADER + b"-Y 1 +Y 1\n\0\0\0\0", "resolution"),
         (HEADER + b"-Y 0 +X 1\n", "0 pixels|1x0 pixels"),
         (HEADER + b"-Y 65536 +X 65536\n", "65536x65536"),

@@ -57,10 +57,10 @@ def test_every_covered_pixel_belongs_to_one_material(request, receivers: str):
     # The middle of the image shows the ball, the row below it the floor in front.
     assert shown[6, 7] == ball
     assert shown[9, 7] == floor
-    for material, count in zip(view.materials, relighter.transport.groups, strict=True):
+    for material, block in zip(view.materials, relighter.transport.blocks, strict=True):
         assert len(material.pixel) == 1024
         seen = np.asarray(material.pixel) < view.covered.size
-        assert np.asarray(material.receivers)[seen].max() < 128 * len(count)
+        assert np.asarray(material.receivers)[seen].max() < 128 * len(block.groups)
         assert np.asarray(material.receivers).min() >= 0
         np.testing.assert_allclose(np.asarray(material.weights)[seen].sum(axis=1), 1, atol=1e-6)
         np.testing.assert_allclose(np.linalg.norm(np.asarray(material.omega_o)[seen], axis=1), 1, atol=1e-6)
@@ -70,8 +70,8 @@ def test_corners_lie_around_the_point_that_is_seen(free: Relighter):
     """Corner positions, weighed, lie on the pixel's ray."""
     view, transport = free.view(), free.transport
     directions = CAMERA.directions().reshape(-1, 3)
-    for material, groups in zip(view.materials, transport.groups, strict=True):
-        positions = transport.receivers.positions[groups].reshape(-1, 3) * transport.surfaces.radius
+    for material, block in zip(view.materials, transport.blocks, strict=True):
+        positions = transport.receivers.positions[block.groups].reshape(-1, 3) * transport.surfaces.radius
         positions += transport.surfaces.centre
         seen = np.asarray(material.pixel) < view.covered.size
         corners = positions[np.asarray(material.receivers)[seen]]

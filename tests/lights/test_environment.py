@@ -71,10 +71,79 @@ def test_a_fourth_channel_is_ignored_whatever_it_is():
     np.testing.assert_array_equal(environment(pixels).pixels, sky())
 
 
-@pytest.mark.parametrize("shape", [(8, 8, 3), (8, 15, 3), (8, 16), (8, 16, 1), (8, 16, 2), (8, 16, 5), (16, 8, 3), ()])
+@pytest.mark.parametrize("shape", [(8, 16), (8, 16, 1), (8, 16, 2), (8, 16, 5), ()])
 def test_other_shapes_are_refused(shape):
-    with pytest.raises(InputError, match="h × 2h pixels of three channels"):
+    with pytest.raises(InputError, match="h × w pixels of three channels"):
         environment(np.ones(shape))
+
+
+SIZES = [(1, 1), (1, 2), (3, 5), (5, 3), (7, 1), (16, 31), (1, 16384), (600, 3), (9, 4097)]
+
+
+def encoded(pixels, degrees=0.0):
+    """Texels of a 6×4² cube map, as `Relighter.light` finds them."""
+    pixels = coarsened(pixels, 4)
+    resampling = latlong.area_resampling(*pixels.shape[:2], 4)
+    return np.asarray(any_encode(jnp.asarray(pixels), degrees, 1.0, resampling, cubemap.Texels(4)), float)
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_maps_of_any_size_keep_constants_and_the_energy_of_a_hot_pixel(height, width):
+    np.testing.assert_allclose(encoded(environment(np.ones((height, width, 3))).pixels, 33), 1, rtol=2e-6)
+    hot = np.zeros((height, width, 3), np.float32)
+    row, column = height // 3, (2 * width) // 3
+    hot[row, column] = [1e5, 1, 0]
+    expected = latlong.solid_angles(height, width)[row] * hot[row, column]
+    for degrees in (0, 77.7):
+        texels = encoded(environment(hot).pixels, degrees)
+        np.testing.assert_allclose(cubemap.solid_angles(4) @ texels, expected, rtol=1e-5)
+    if min(height, width) > 2:
+        centre = (cubemap.solid_angles(4) * encoded(hot)[:, 0]) @ cubemap.directions(4)
+        direction = latlong.directions(np.array((column + 0.5) / width), np.array((row + 0.5) / height))
+        assert centre @ direction > 0
+
+
+def test_a_map_of_other_sides_is_told_and_of_a_given_layout_is_not():
+    assert environment(np.ones((3, 6, 3))).notes == ()
+    assert environment(np.ones((3, 7, 3)), layout="latlong").notes == ()
+    (note,) = environment(np.ones((3, 7, 3)), name="sky.exr").notes
+    assert note.startswith("sky.exr: 7 × 3 pixels are not 2:1")
+
+
+def test_a_smaller_map_in_other_cells_is_the_same_light():
+    """Every pixel of 3 × 5 as 4 × 2 of its own: the cells are the same, so is their light."""
+    pixels = np.random.default_rng(0).uniform(size=(3, 5, 3)).astype(np.float32)
+    fine = pixels.repeat(4, axis=0).repeat(2, axis=1)
+    np.testing.assert_allclose(encoded(pixels), encoded(fine), atol=2e-4)
+    np.testing.assert_allclose(latlong.resized(fine, 3, 5), pixels, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["sky.png", "sky.jpg"])
+def test_eight_bit_pictures_are_decoded_from_srgb(tmp_path, name):
+    from PIL import Image
+
+    Image.fromarray(np.full((8, 16, 3), 188, np.uint8)).save(tmp_path / name)
+    np.testing.assert_allclose(load_environment(tmp_path / name).pixels, 0.5029, rtol=0.01)
+
+
+@pytest.mark.parametrize("name", ["sky.exr", "sky.hdr"])
+def test_bad_pixels_from_file_to_light(tmp_path, name):
+    """NaN, infinite and negative pixels of a file: refused, or repaired and counted, so that the light is finite."""
+    pixels = sky()
+    pixels[1, 2], pixels[3, 4], pixels[5, 6] = np.nan, np.inf, -1
+    write_image(tmp_path / name, pixels)
+    if name == "sky.hdr":  # which can hold none of them: NaN and negative are written as 0, infinity as the largest
+        made = load_environment(tmp_path / name)
+        assert made.notes == ()
+        np.testing.assert_array_equal(made.pixels[[1, 5], [2, 6]], 0)
+        assert made.pixels.max() > 1e38
+        return
+    with pytest.raises(InputError, match=r"sky\.exr has 2 NaN or infinite pixels, the first in row 1, column 2;"):
+        load_environment(tmp_path / name)
+    made = load_environment(tmp_path / name, zero_nonfinite=True)
+    assert [note.split(" ", 2)[1] for note in made.notes] == ["2", "1"]
+    np.testing.assert_array_equal(made.pixels[[1, 3, 5], [2, 4, 6]], 0)
+    assert np.isfinite(encoded(made.pixels)).all()
 
 
 @pytest.mark.parametrize("placement", [(np.nan, 1), (np.inf, 1), (0, -1), (0, np.nan), (0, np.inf)])
@@ -108,10 +177,18 @@ def test_coarsened_keeps_energy_and_stops_in_time(height, resolution, wanted):
         np.testing.assert_array_equal(coarse, pixels)
 
 
-def test_coarsened_keeps_constants_and_odd_heights():
+def test_coarsened_keeps_constants_and_the_energy_of_odd_sizes():
     np.testing.assert_allclose(coarsened(np.ones((128, 256, 3), np.float32), 4), 1, rtol=1e-6)
-    odd = np.ones((75, 150, 3), np.float32)
-    assert coarsened(odd, 4).shape == odd.shape
+    odd = np.random.default_rng(0).uniform(size=(75, 351, 3)).astype(np.float32)
+    odd[31, 200] = 1e5
+    coarse = coarsened(odd, 4)
+    assert coarse.shape == (38, 88, 3)
+    np.testing.assert_allclose(energy(coarse), energy(odd), rtol=1e-6)
+    np.testing.assert_allclose(coarsened(np.ones_like(odd), 4), 1, rtol=1e-6)
+    even = sky(64)
+    np.testing.assert_allclose(
+        coarsened(even, 4).mean(axis=1), latlong.resized(even, 32, 1)[:, 0], rtol=1e-6
+    )  # pairs of rows and columns
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,66 @@
+"""Materials: linear combinations of BRDFs whose weights vary over the surface (Wang 2006 §3.1)."""
+
+import dataclasses
+
+import jax.numpy as jnp
+
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.texture import Texture, Weight
+
+
+@dataclasses.dataclass(frozen=True)
+class Component:
+    """One BRDF of a material and the factor on it, by channel and texture coordinates."""
+
+    brdf: Brdf
+    weight: Weight = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Material:
+    """Σ_b weight_b(u, v) · f_b(ω_i, ω_o).
+
+    Transport is precomputed for each f_b by itself; weights multiply at the view, in every pixel. So a texture stays as
+    sharp as it is, whatever the receivers are, and changing it changes no transport.
+
+    Attributes:
+        components: the BRDFs and their weights.
+        normal_map: tangent-space normals as (n + 1)/2, three channels; None for the mesh's own.
+    """
+
+    components: tuple[Component, ...]
+    normal_map: Texture | None = None
+
+    @property
+    def needs_uv(self) -> bool:
+        """Whether it can only be put on a mesh that has texture coordinates."""
+        textures = [texture for component in self.components for texture in component.weight]
+        return any(not texture.is_constant for texture in [*textures, *([self.normal_map] if self.normal_map else [])])
+
+
+def as_material(surface: Brdf | Material) -> Material:
+    """A BRDF as the material that is the same everywhere."""
+    return surface if isinstance(surface, Material) else Material((Component(surface),))
+
+
+def white_lambert() -> LobeSum:
+    """Albedo 1 in a single channel: what a texture of albedos multiplies."""
+    return LobeSum(jnp.ones(1), jnp.zeros((0, 1, 3)), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
+
+
+def white_phong(exponent) -> LobeSum:
+    """(n + 2)/(2π)·max(0, cos α)ⁿ, as `phong` of specular 1: in a single channel where the exponent is one number."""
+    n = jnp.atleast_1d(jnp.asarray(exponent, jnp.float32))
+    C = jnp.broadcast_to(jnp.asarray([-1.0, -1.0, 1.0]), (1, len(n), 3))
+    return LobeSum(jnp.zeros(len(n)), C, n[None], ((n + 2) / (2 * jnp.pi))[None])
+
+
+def textured_lambert(albedo: Texture) -> Material:
+    """A texture of albedos over π."""
+    return Material((Component(white_lambert(), (albedo,)),))
+
+
+def textured_phong(diffuse: Texture, specular: Texture, exponent) -> Material:
+    """`phong` with a texture for either colour."""
+    return Material((Component(white_lambert(), (diffuse,)), Component(white_phong(exponent), (specular,))))

@@ -1,0 +1,129 @@
+"""What mesh files say about materials: colours, images and exponents, before anything is made of them."""
+
+import dataclasses
+import pathlib
+
+import numpy as np
+
+# An image file, or the bytes of one.
+Picture = pathlib.Path | bytes
+
+
+@dataclasses.dataclass
+class FileMaterial:
+    """A material as a file describes it, in terms of diffuse/π + specular·(n + 2)/(2π)·max(0, cos α)ⁿ.
+
+    Attributes:
+        diffuse: linear, multiplied by the picture where there is one.
+        specular: the same.
+        exponent: n.
+        diffuse_picture: sRGB colours.
+        specular_picture: sRGB colours.
+        normal_picture: tangent-space normals as (n + 1)/2.
+        two_sided: whether the back is a surface, too.
+        notes: what was approximated or left out.
+    """
+
+    diffuse: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    specular: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    exponent: float = 0.0
+    diffuse_picture: Picture | None = None
+    specular_picture: Picture | None = None
+    normal_picture: Picture | None = None
+    two_sided: bool = False
+    notes: list[str] = dataclasses.field(default_factory=list)
+
+
+def read_mtl(text: str, folder: pathlib.Path) -> dict[str, FileMaterial]:
+    """The materials of an MTL library: Kd, Ks, Ns, map_Kd, map_Ks and norm.
+
+    Ks is taken as the share that is reflected about the mirror direction. Other statements are about refraction,
+    emission and the like, or are approximations of what transport computes; those that change the look are noted.
+    """
+    found: dict[str, FileMaterial] = {}
+    material = FileMaterial()
+    for line in text.splitlines():
+        words = line.split("#", 1)[0].split()
+        key, rest = (words[0].lower(), words[1:]) if words else ("", [])
+        try:
+            if key == "newmtl":
+                material = found.setdefault(" ".join(rest), FileMaterial((0.8, 0.8, 0.8)))
+            elif key == "kd":
+                material.diffuse = _colour(rest)
+            elif key == "ks":
+                material.specular = _colour(rest)
+            elif key == "ns":
+                material.exponent = min(max(_finite(rest[0]), 0.0), 1e5)
+            elif key in ("map_kd", "map_ks", "norm"):
+                name = {"map_kd": "diffuse_picture", "map_ks": "specular_picture", "norm": "normal_picture"}[key]
+                setattr(material, name, folder / _file_name(rest, material.notes))
+            elif key in ("map_bump", "bump", "disp"):
+                material.notes.append("bump and displacement maps are left out; give a normal_map")
+            elif key == "map_d" or (key == "d" and _finite(rest[-1]) < 1) or (key == "tr" and _finite(rest[-1]) > 0):
+                material.notes.append("transparency is left out; it is opaque")
+            elif key == "ke" and max(_colour(rest)) > 0:
+                material.notes.append("emission is left out")
+        except (ValueError, IndexError):
+            material.notes.append(f"line {line.strip()[:60]!r} of the library is not understood and was left out")
+    return found
+
+
+def _finite(word: str) -> float:
+    number = float(word)
+    if not np.isfinite(number):
+        raise ValueError("not finite")
+    return number
+
+
+def _colour(words: list[str]) -> tuple[float, float, float]:
+    numbers = [min(max(_finite(word), 0.0), 1.0) for word in words[:3]]
+    red, green, blue = numbers * 3 if len(numbers) == 1 else numbers
+    return red, green, blue
+
+
+def _file_name(words: list[str], notes: list[str]) -> str:
+    """The file after options such as `-bm 0.2` or `-s 1 1 1`."""
+    start = 0
+    while start < len(words) and words[start].startswith("-"):
+        start += 1
+        while start < len(words) - 1 and _is_setting(words[start]):
+            start += 1
+    if start:
+        notes.append(f"options {' '.join(words[:start])[:60]!r} of an image are left out")
+    if start == len(words):
+        raise ValueError("no file")
+    return " ".join(words[start:]).replace("\\", "/")
+
+
+def _is_setting(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return word in ("on", "off")
+    return True
+
+
+def metallic_roughness(
+    base: tuple[float, float, float], metallic: float, roughness: float, picture: Picture | None
+) -> FileMaterial:
+    """A Phong material in place of glTF's microfacets.
+
+    Metals reflect their base colour, others 4 %. A lobe as wide as roughness r makes it has the exponent
+    n = (1/r⁴ − 1)/2, that of Blinn's for α = r² divided by four, as cos α varies four times as fast as the half
+    vector's. Below 1 it is as good as diffuse, and taken as such.
+    """
+    exponent = (1 / max(roughness, 0.05) ** 4 - 1) / 2
+    textured = picture is not None
+    if exponent < 1:
+        colour = tuple(c * (1 - metallic) + c * metallic + 0.04 * (1 - metallic) * (1 - c) for c in base)
+        return FileMaterial(colour, diffuse_picture=picture)  # pyright: ignore[reportArgumentType]
+    diffuse = tuple(c * (1 - metallic) * 0.96 for c in base)
+    # A textured metal's highlights have its colour; the small share of other surfaces' is white.
+    specular = tuple(c * metallic + (0 if textured and metallic > 0.5 else 0.04 * (1 - metallic)) for c in base)
+    return FileMaterial(
+        diffuse,  # pyright: ignore[reportArgumentType]
+        specular,  # pyright: ignore[reportArgumentType]
+        exponent,
+        diffuse_picture=picture,
+        specular_picture=picture if metallic > 0.5 else None,
+    )

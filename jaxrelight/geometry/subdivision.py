@@ -1,0 +1,84 @@
+"""Faces split until they are small enough to carry light at their vertices."""
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.mesh import Mesh
+from jaxrelight.geometry.repair import unit
+
+_MOST_FACES = 20_000_000
+
+
+def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
+    """The same surface with no edge longer than `max_edge` metres.
+
+    Every longer edge is halved, in all faces that share it, so that no crack and no vertex inside another's edge comes
+    to be; again until none is left. Positions, normals and texture coordinates are interpolated. Faces that are small
+    enough stay as they are.
+
+    Raises:
+        InputError: `max_edge` is not a positive number, or the faces would be too many.
+    """
+    if not (isinstance(max_edge, int | float) and np.isfinite(max_edge) and max_edge > 0):
+        raise InputError(f"max_edge is {max_edge!r}; give a positive number of metres")
+    uv = np.zeros((len(mesh.vertices), 0)) if mesh.uv is None else mesh.uv
+    # One row a vertex, so that all that a vertex has is interpolated alike: position, normal, texture coordinates.
+    corners, faces = np.concatenate([mesh.vertices, mesh.normals, uv], axis=1), mesh.faces
+    while True:
+        edges, edge_of_side = _edges(faces)
+        ends = corners[edges]
+        long = np.linalg.norm(ends[:, 0, :3] - ends[:, 1, :3], axis=-1) > max_edge
+        if not long.any():
+            break
+        middle = np.full(len(edges), -1)
+        middle[long] = len(corners) + np.arange(long.sum())
+        corners = np.concatenate([corners, ends[long].mean(axis=1)])
+        faces = _split(faces, middle[edge_of_side], corners[:, :3])
+        if len(faces) > _MOST_FACES:
+            raise InputError(f"max_edge {max_edge:g} gives more than {_MOST_FACES:,} faces; choose a larger one")
+    return dataclasses.replace(
+        mesh,
+        vertices=corners[:, :3],
+        normals=unit(corners[:, 3:6], np.array([0.0, 1.0, 0.0])),
+        uv=None if mesh.uv is None else corners[:, 6:],
+        faces=faces,
+    )
+
+
+def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
+    """All edges, and the number of each face's edges 0–1, 1–2 and 2–0."""
+    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    key, edge_of_side = np.unique(sides[:, 0] * (faces.max() + 1) + sides[:, 1], return_inverse=True)
+    return np.stack(np.divmod(key, faces.max() + 1), axis=-1), edge_of_side.reshape(-1, 3)
+
+
+def _split(
+    faces: Int[np.ndarray, "f 3"], middle: Int[np.ndarray, "f 3"], positions: Float[np.ndarray, "v 3"]
+) -> Int[np.ndarray, "g 3"]:
+    """Each face as 1 to 4, given the new vertex in the middle of each of its edges, −1 for none."""
+    count = (middle >= 0).sum(axis=1)
+    parts = [faces[count == 0]]
+
+    def turned(halved: int, first: np.ndarray):
+        """Corners a, b, c and middles ab, bc, ca of the faces with so many halved edges, turned to a first corner."""
+        chosen = count == halved
+        order = (first[chosen, None] + np.arange(3)) % 3
+        return (*np.take_along_axis(faces[chosen], order, 1).T, *np.take_along_axis(middle[chosen], order, 1).T)
+
+    a, b, c, ab, *_ = turned(1, np.argmax(middle >= 0, axis=1))
+    parts += [np.stack(corners, axis=1) for corners in ((a, ab, c), (ab, b, c))]
+
+    # ab and bc are halved; the rest is a square, cut along its shorter diagonal.
+    a, b, c, ab, bc, _ = turned(2, np.argmax(middle < 0, axis=1) + 1)
+    length_a, length_c = (np.linalg.norm(positions[p] - positions[q], axis=-1)[:, None] for p, q in ((a, bc), (ab, c)))
+    by_a = [np.stack(corners, axis=1) for corners in ((a, ab, bc), (a, bc, c))]
+    by_c = [np.stack(corners, axis=1) for corners in ((a, ab, c), (ab, bc, c))]
+    parts += [np.stack([ab, b, bc], axis=1)]
+    parts += [np.where(length_a <= length_c, one, other) for one, other in zip(by_a, by_c, strict=True)]
+
+    a, b, c, ab, bc, ca = turned(3, np.zeros(len(faces), int))
+    parts += [np.stack(corners, axis=1) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return np.concatenate(parts)
