@@ -31,6 +31,7 @@ def main() -> None:
     except BrokenPipeError:
         # Whoever read the summary has gone, as `head` does; what is left of it goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except KeyboardInterrupt:
-        print("jaxrelight: stopped; what is done is kept", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        done = "".join(f" at {note}" for note in getattr(stop, "__notes__", ()))
+        print(f"jaxrelight: stopped{done}; what is done is kept, run the same command to go on", file=sys.stderr)
         sys.exit(130)

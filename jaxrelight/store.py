@@ -3,29 +3,40 @@
     STORE/
       store.json               format, scene, settings, and which layers belong together
       geometry-KEY/            vertices, normals and faces
+      environment-KEY/         the scene's own light
       visibility-KEY/          one bit for each direction of each receiver
       factors-KEY/             of a BRDF
       texture-KEY/             pixels
       transport-KEY/           kept coefficients, energies
+        layout.json            names, shapes and types of the arrays
+        000000, 000001 …       the arrays of one group of receivers each
 
-A layer is a zarr group with one chunk for each group of receivers, checked by CRC32C. Zarr writes a chunk under another
-name and renames it, but reads a missing one as zeros; so a chunk counts only once its number stands in the layer's
-`done` list. A run that was killed finds what is done and goes on. Any layer, or the store, may be deleted at any time.
+Every file appears whole or not at all, and carries a checksum and its own name, so that what is damaged, missing or in
+another's place is noticed. A run that was killed, or that found the disk full, is gone on with; several processes may
+work on one store; reading one writes nothing. Any file, layer or store may be deleted at any time: what is missing is
+made again.
 """
 
+import contextlib
+import dataclasses
 import hashlib
 import json
+import os
 import pathlib
-import shutil
-import threading
-from collections.abc import Mapping
-from typing import Any
+import time
+import uuid
+from collections.abc import Iterable, Mapping
 
 import numpy as np
+import zstandard
 
+from jaxrelight.array_file import check_arrays, decode_arrays, encode_arrays
 from jaxrelight.errors import InputError
 
-FORMAT = 2
+FORMAT = 3
+
+# Seconds after which a file that was not renamed belongs to nobody any more: writing one takes milliseconds.
+_ABANDONED = 60
 
 
 def default_folder(key: str) -> pathlib.Path:
@@ -36,8 +47,11 @@ def default_folder(key: str) -> pathlib.Path:
 
 
 def key_of(*parts) -> str:
-    """Sixteen hexadecimal digits that identify arrays, texts, numbers and nested lists or tables of them."""
-    digest = hashlib.sha256()
+    """Sixteen hexadecimal digits that identify arrays, texts, numbers and nested lists or tables of them.
+
+    Other formats of the store have other digits.
+    """
+    digest = hashlib.sha256(f"{FORMAT};".encode())
 
     def add(part):
         if isinstance(part, np.ndarray):
@@ -56,139 +70,155 @@ def key_of(*parts) -> str:
     return digest.hexdigest()[:16]
 
 
+@dataclasses.dataclass
 class Layer:
-    """Named arrays whose first axis counts groups, filled group by group, from several threads if need be."""
+    """Named arrays whose first axis counts groups, a file for each group, written from several threads if need be.
 
-    def __init__(self, folder: pathlib.Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]], groups: int):
-        """Opens the layer, or makes it. `arrays` gives the shape of one group's part, and the type, by name."""
-        self.folder, self.groups = folder, groups
+    Made by `make_layer` and `open_layer`.
+
+    Attributes:
+        folder: where the files are; its name is part of their labels.
+        arrays: shape of one group's part, and type, by name.
+        groups: how many there are.
+        done: those that are there.
+    """
+
+    folder: pathlib.Path
+    arrays: dict[str, tuple[tuple[int, ...], np.dtype]]
+    groups: int
+    done: set[int] = dataclasses.field(default_factory=set)
+
+    def _is_whole(self, group: int) -> bool:
         try:
-            self._open(arrays)
-        except (ValueError, KeyError, TypeError, IndexError, FileNotFoundError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise InputError(f"{folder}: damaged ({reason}); delete this folder and run again") from None
+            check_arrays(self._label(group), self._path(group).read_bytes())
+        except (OSError, ValueError):
+            return False
+        return True
 
-    def _open(self, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]):
-        import zarr
-        from zarr.codecs import Crc32cCodec, ZstdCodec
+    def _label(self, group: int) -> str:
+        return f"{self.folder.name}/{group}"
 
-        folder, groups = self.folder, self.groups
-        self._journal = folder / "done"
-        self._lock = threading.Lock()
-        for partial in folder.rglob("*.partial"):
-            partial.unlink(missing_ok=True)
-        if not (folder / "layout.json").exists():
-            # Made whole or not at all: the layout is written last.
-            shutil.rmtree(folder, ignore_errors=True)
-            root = zarr.create_group(folder)
-            for name, (shape, dtype) in arrays.items():
-                root.create_array(
-                    name,
-                    shape=(groups, *shape),
-                    chunks=(1, *shape),
-                    dtype=dtype,
-                    compressors=[ZstdCodec(level=1), Crc32cCodec()],
-                )
-            layout = {name: [list(shape), str(np.dtype(dtype))] for name, (shape, dtype) in arrays.items()}
-            write_text(folder / "layout.json", json.dumps({"groups": groups, "arrays": layout}, indent=1))
-        # Chunks of nothing but zeros are written too, so that a missing one is a lost one.
-        root: Any = zarr.open_group(folder, mode="r+")
-        self._arrays = {name: root[name].with_config({"write_empty_chunks": True}) for name in arrays}
-        for name, (shape, dtype) in arrays.items():
-            found = self._arrays[name]
-            if (found.shape, found.chunks, found.dtype) != ((groups, *shape), (1, *shape), np.dtype(dtype)):
-                raise ValueError(f"'{name}' has another shape or type than it was made with")
-        self.done = self._read_journal()
-        lost = [group for group in self.done if not self._has_chunks(group)]
-        if lost:
-            raise InputError(f"{folder}: {len(lost):,} groups are lost; delete this folder and run again")
-
-    def _has_chunks(self, group: int) -> bool:
-        return all(
-            (self.folder / name / "c" / "/".join([str(group), *["0"] * (array.ndim - 1)])).exists()
-            for name, array in self._arrays.items()
-        )
-
-    def _read_journal(self) -> set[int]:
-        if not self._journal.exists():
-            return set()
-        text = self._journal.read_text()
-        # A line that a killed run left unfinished has no end, and must not be gone on with.
-        lines = text.split("\n")[:-1]
-        if not text.endswith("\n") and text:
-            write_text(self._journal, "".join(f"{line}\n" for line in lines))
-        if lines == ["all"]:
-            return set(range(self.groups))
-        return {int(line) for line in lines if line.isdigit() and int(line) < self.groups}
+    def _path(self, group: int) -> pathlib.Path:
+        return self.folder / f"{group:06}"
 
     @property
     def missing(self) -> list[int]:
         """Groups that are not written yet."""
         return [group for group in range(self.groups) if group not in self.done]
 
+    def has(self, group: int) -> bool:
+        """Whether a group is there by now, perhaps by another process."""
+        if group not in self.done and self._is_whole(group):
+            self.done.add(group)
+        return group in self.done
+
     def write(self, group: int, **arrays: np.ndarray):
-        """Writes all arrays of one group, then records that it is done."""
-        try:
-            for name, values in arrays.items():
-                self._arrays[name][group] = values
-            with self._lock, self._journal.open("a") as journal:
-                journal.write(f"{group}\n")
-                self.done.add(group)
-        except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written: {error.strerror}; what is finished is kept, make room and run again"
-            ) from None
+        """Writes all arrays of one group.
 
-    def finish(self):
-        """Records that every group is there, in a form that does not depend on the order they came in."""
-        if not self.missing:
-            write_text(self._journal, "all\n")
+        Raises:
+            InputError: if the disk is full or must not be written to; what was written before stays.
+        """
+        assert {name: (np.shape(a), np.asarray(a).dtype) for name, a in arrays.items()} == self.arrays
+        with _told(self.folder):
+            _write(self._path(group), encode_arrays(self._label(group), arrays))
+        self.done.add(group)
 
-    def read(self, name: str, group: int | slice = slice(None)) -> np.ndarray:
-        """One group of an array, or all of them.
+    def read(self, name: str, group: int | None = None) -> np.ndarray:
+        """One group of an array, or all of them; see `read_all`."""
+        if group is None:
+            return self.read_all([name])[name]
+        return self._read(group, [name])[name]
+
+    def read_all(self, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """Several arrays of all groups, by default all of them; every file is read once.
 
         Raises:
             InputError: if what is on disk is not what was written.
         """
+        names = list(self.arrays) if names is None else list(names)
+        whole = {name: np.empty((self.groups, *self.arrays[name][0]), self.arrays[name][1]) for name in names}
+        for group in range(self.groups):
+            for name, part in self._read(group, names).items():
+                whole[name][group] = part
+        return whole
+
+    def _read(self, group: int, names: list[str]) -> dict[str, np.ndarray]:
+        path = self._path(group)
         try:
-            return np.asarray(self._arrays[name][group])
-        except (ValueError, RuntimeError, OSError) as error:
-            raise InputError(
-                f"{self.folder}: '{name}' is damaged ({str(error).splitlines()[0]}); delete this folder and run again"
-            ) from None
+            arrays = decode_arrays(self._label(group), path.read_bytes(), names)
+            for name in names:
+                if (arrays[name].shape, arrays[name].dtype) != self.arrays[name]:
+                    raise ValueError(f"'{name}' has another shape or type than the layer")
+        except FileNotFoundError:
+            raise InputError(f"{path} is missing; run precompute again: it makes what is missing") from None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        except (ValueError, KeyError, zstandard.ZstdError) as error:
+            raise InputError(f"{path}: damaged, {error}; run precompute again: it makes this file anew") from None
+        return arrays
 
     @property
     def nbytes(self) -> int:
         """Bytes on disk."""
-        return sum(file.stat().st_size for file in self.folder.rglob("*") if file.is_file())
+        return bytes_on_disk(self.folder)
+
+
+def bytes_on_disk(folder: pathlib.Path) -> int:
+    """Those of a layer's files, damaged or not."""
+    with os.scandir(folder) as files:
+        return sum(file.stat().st_size for file in files)
+
+
+def make_layer(folder: pathlib.Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]], groups: int) -> Layer:
+    """A layer to be written, or to be completed: what is damaged counts as missing.
+
+    Args:
+        folder: named by the hash of all that the layer follows from, this function's other arguments too.
+        arrays: shape of one group's part, and type, by name.
+        groups: how many.
+
+    Raises:
+        InputError: if the folder cannot be written to.
+    """
+    layer = Layer(folder, {name: (tuple(shape), np.dtype(dtype)) for name, (shape, dtype) in arrays.items()}, groups)
+    described = {name: [list(shape), str(dtype)] for name, (shape, dtype) in layer.arrays.items()}
+    layout = {"format": FORMAT, "groups": groups, "arrays": described}
+    with _told(folder):
+        folder.mkdir(exist_ok=True)
+        _sweep(folder)
+        if _read_sealed(folder / "layout.json") != layout:
+            _write_sealed(folder / "layout.json", layout)
+    layer.done.update(filter(layer._is_whole, range(groups)))
+    return layer
 
 
 def open_layer(folder: pathlib.Path) -> Layer:
-    """A layer that exists already."""
-    try:
-        layout = json.loads((folder / "layout.json").read_text())
-        arrays = {name: (tuple(shape), np.dtype(dtype)) for name, (shape, dtype) in layout["arrays"].items()}
-        return Layer(folder, arrays, layout["groups"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise InputError(f"{folder}: this layer is missing or damaged; run precompute again") from None
+    """A layer that exists already, to be read. Nothing is written, and files are looked into when they are read.
 
-
-def layers_of(material: Mapping) -> list[str]:
-    """The names of the layers that a material's record in the header refers to."""
-    named = [material.get("factors"), material.get("transport"), material.get("normal_map"), *material["weight"]]
-    return [name for name in named if isinstance(name, str)]
-
-
-def write_text(path: pathlib.Path, text: str):
-    """Replaces a file's content at once or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    Raises:
+        InputError: if it is missing, damaged or of another format.
+    """
+    layout = _read_sealed(folder / "layout.json")
+    if layout is None or layout["format"] != FORMAT:
+        raise InputError(f"{folder}: this layer is missing or damaged; run precompute again")
+    arrays = {name: (tuple(shape), np.dtype(dtype)) for name, (shape, dtype) in layout["arrays"].items()}
+    layer, there = Layer(folder, arrays, layout["groups"]), set(os.listdir(folder))
+    layer.done.update(group for group in range(layer.groups) if layer._path(group).name in there)
+    return layer
 
 
 def write_header(folder: pathlib.Path, header: Mapping):
     """Writes what belongs together into `store.json`."""
-    write_text(folder / "store.json", json.dumps({"format": FORMAT, **header}, indent=1))
+    with _told(folder):
+        _write_sealed(folder / "store.json", {"format": FORMAT, **header})
+
+
+def layers_of(header: Mapping) -> list[str]:
+    """The names of the layers that a header refers to."""
+    named = [header["geometry"], header["visibility"], (header["environment"] or {}).get("pixels")]
+    for material in header["materials"]:
+        named += [material.get(key) for key in ("factors", "transport", "normal_map")] + material["weight"]
+    return [name for name in named if isinstance(name, str)]
 
 
 def read_header(folder: pathlib.Path) -> dict:
@@ -198,13 +228,65 @@ def read_header(folder: pathlib.Path) -> dict:
         InputError: if there is none, it is damaged, or its format is another one.
     """
     path = folder / "store.json"
+    if not path.is_file():
+        raise InputError(f"{folder}: not a store, or its precomputation was not finished; run precompute")
+    header = _read_sealed(path)
+    if header is not None and header["format"] == FORMAT:
+        return header
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        found = json.loads(path.read_bytes()).get("format")
+        if found != FORMAT:
+            raise InputError(
+                f"{path}: format {found} is not format {FORMAT}, which this version reads; precompute again"
+            )
+    raise InputError(f"{path}: damaged; run precompute again, finished layers will be reused")
+
+
+def _write_sealed(path: pathlib.Path, content: Mapping):
+    """A JSON file that ends with the checksum of the rest."""
+    _write(path, _sealed(content))
+
+
+def _sealed(content: Mapping) -> bytes:
+    checksum = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps({**content, "sha256": checksum}, indent=1).encode()
+
+
+def _read_sealed(path: pathlib.Path) -> dict | None:
+    """What `_write_sealed` wrote; None if that is not what is there, to the last byte."""
     try:
-        header = json.loads(path.read_text(encoding="utf-8"))
-    except OSError:
-        raise InputError(f"{folder}: not a store, or its precomputation was not finished; run precompute") from None
-    except ValueError:
-        raise InputError(f"{path}: damaged; run precompute again, finished layers will be reused") from None
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        found = header.get("format") if isinstance(header, dict) else None
-        raise InputError(f"{path}: format {found} is not format {FORMAT}, which this version reads; precompute again")
-    return header
+        text = path.read_bytes()
+        content = json.loads(text)
+        del content["sha256"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return content if _sealed(content) == text else None
+
+
+def _write(path: pathlib.Path, content: bytes):
+    """Replaces a file's content at once or not at all, whoever else does the same."""
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _sweep(folder: pathlib.Path):
+    """Removes what killed processes left half-written."""
+    for partial in folder.glob(".*"):
+        with contextlib.suppress(OSError):
+            if time.time() - partial.stat().st_mtime > _ABANDONED:
+                partial.unlink()
+
+
+@contextlib.contextmanager
+def _told(folder: pathlib.Path):
+    """Says in one line why a folder cannot be written to."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be written: {error.strerror}; what is finished is kept, make room and run again"
+        ) from None

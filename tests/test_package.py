@@ -17,7 +17,7 @@ ROOT = pathlib.Path(jaxrelight.__file__).parent
 # itself under the same name. `basis.latlong` resamples with a row-sparse operator, so the operators that know no basis
 # lie below it; the streamed operator bakes, so it lies above `transport.bake`.
 LAYERS = (
-    ("errors", "safe", "compilation_cache"),
+    ("errors", "safe", "buckets", "compilation_cache", "array_file"),
     ("images", "store", "operators", "transport.settings"),
     ("basis", "brdf", "geometry"),
     ("lights", "transport.bake", "transport.visibility", "transport.normal_maps"),
@@ -132,7 +132,7 @@ def test_unknown_name_is_an_attribute_error():
 @pytest.mark.parametrize("module", ["jaxrelight", "jaxrelight.cli"])
 def test_import_is_light(module: str):
     """`--help` must not wait for JAX, nor for anything that reads files or traces rays."""
-    heavy = "jax", "numpy", "scipy", "equinox", "lineax", "trimesh", "zarr", "OpenEXR", "PIL", "embreex", "rich"
+    heavy = "jax", "numpy", "scipy", "equinox", "lineax", "trimesh", "zstandard", "OpenEXR", "PIL", "embreex", "rich"
     code = f"import {module}, sys; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT.parent)
     assert done.stdout.strip() == "[]"

@@ -1,11 +1,14 @@
 """The store: names by content, layers that resume, and damage that is found."""
 
+import errno
 import json
+import os
 import pathlib
 import shutil
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -25,7 +28,7 @@ def _part(group: int) -> dict[str, np.ndarray]:
 
 
 def _layer(folder: pathlib.Path, write=()) -> store.Layer:
-    layer = store.Layer(folder, ARRAYS, GROUPS)
+    layer = store.make_layer(folder, ARRAYS, GROUPS)
     for group in write:
         layer.write(group, **_part(group))
     return layer
@@ -94,7 +97,7 @@ def test_key_is_the_same_in_another_process():
 
 
 def test_layer_gives_back_what_was_written(tmp_path):
-    _layer(tmp_path / "a", range(GROUPS)).finish()
+    _layer(tmp_path / "a", range(GROUPS))
     layer = store.open_layer(tmp_path / "a")
     assert layer.missing == []
     for group in range(GROUPS):
@@ -102,84 +105,40 @@ def test_layer_gives_back_what_was_written(tmp_path):
             found = layer.read(name, group)
             assert found.dtype == expected.dtype
             np.testing.assert_array_equal(found, expected)
-    together = layer.read("values")
-    np.testing.assert_array_equal(together, np.stack([_part(group)["values"] for group in range(GROUPS)]))
+    for name, together in layer.read_all().items():
+        np.testing.assert_array_equal(together, np.stack([_part(group)[name] for group in range(GROUPS)]))
+        np.testing.assert_array_equal(together, layer.read(name))
     assert layer.nbytes == sum(map(len, _contents(tmp_path / "a").values()))
 
 
 def test_layer_resumes(tmp_path):
     first = _layer(tmp_path / "a", [4, 0])
     assert first.missing == [1, 2, 3, 5]
-    first.finish()
     again = _layer(tmp_path / "a", [1])
     assert again.done == {0, 1, 4}
     assert store.open_layer(tmp_path / "a").missing == [2, 3, 5]
     np.testing.assert_array_equal(again.read("values", 4), _part(4)["values"])
 
 
-def test_zeros_are_written_and_read(tmp_path):
-    """Zarr keeps no file for a chunk of zeros: only the journal tells it from a missing one."""
+def test_files_do_not_depend_on_the_order(tmp_path):
+    for name, order in (("1", range(GROUPS)), ("2", [3, 5, 0, 1, 4, 2])):
+        (tmp_path / name).mkdir()
+        _layer(tmp_path / name / "a", order)
+    assert _contents(tmp_path / "1") == _contents(tmp_path / "2")
+    assert len(_contents(tmp_path / "1")) == GROUPS + 1
+
+
+def test_only_what_belongs_to_the_layer_is_written(tmp_path):
     layer = _layer(tmp_path / "a")
-    layer.write(2, values=np.zeros((4, 3), np.float32), bits=np.zeros(5, np.uint8))
-    again = store.open_layer(tmp_path / "a")
-    assert again.done == {2}
-    assert not again.read("values", 2).any()
-
-
-def test_chunk_without_a_journal_line_is_missing(tmp_path):
-    layer = _layer(tmp_path / "a", range(GROUPS))
-    (layer.folder / "done").write_text("0\n3\n")
-    assert store.open_layer(tmp_path / "a").missing == [1, 2, 4, 5]
-
-
-@pytest.mark.parametrize("ending", ["1", "4", "12"])
-def test_unfinished_journal_line_is_ignored(tmp_path, ending: str):
-    """A killed run may have written the first digits of a number."""
-    layer = _layer(tmp_path / "a", [0, 2])
-    with (layer.folder / "done").open("a") as journal:
-        journal.write(ending)
-    assert store.open_layer(tmp_path / "a").done == {0, 2}
-
-
-def test_groups_that_cannot_be_are_ignored(tmp_path):
-    layer = _layer(tmp_path / "a", [0])
-    with (layer.folder / "done").open("a") as journal:
-        journal.write(f"{GROUPS}\nx\n\n-1\n")
-    assert store.open_layer(tmp_path / "a").done == {0}
-
-
-def test_partial_files_are_swept(tmp_path):
-    layer = _layer(tmp_path / "a", [0])
-    partial = layer.folder / "values" / "c" / "x.partial"
-    partial.write_bytes(b"cut")
-    _layer(tmp_path / "a")
-    assert not partial.exists()
-
-
-def test_folder_without_layout_is_made_anew(tmp_path):
-    """A run killed while it made the layer leaves no layout."""
-    layer = _layer(tmp_path / "a", range(GROUPS))
-    (layer.folder / "layout.json").unlink()
-    again = _layer(tmp_path / "a")
-    assert again.missing == list(range(GROUPS))
-    assert not again.read("values").any()
-
-
-def test_finished_layer_does_not_depend_on_the_order(tmp_path):
-    for name, order in (("a", range(GROUPS)), ("b", [3, 5, 0, 1, 4, 2])):
-        _layer(tmp_path / name, order).finish()
-    assert _contents(tmp_path / "a") == _contents(tmp_path / "b")
-    assert (tmp_path / "a" / "done").read_text() == "all\n"
-
-
-def test_unfinished_layer_is_not_called_finished(tmp_path):
-    layer = _layer(tmp_path / "a", range(GROUPS - 1))
-    layer.finish()
-    assert store.open_layer(tmp_path / "a").missing == [GROUPS - 1]
+    part = _part(0)
+    for wrong in ({"values": part["values"]}, {**part, "bits": part["bits"][:4]}, {**part, "bits": part["bits"] + 0.5}):
+        with pytest.raises(AssertionError):
+            layer.write(0, **wrong)
+    assert layer.missing == list(range(GROUPS))
 
 
 def test_threads_may_write(tmp_path):
-    layer = store.Layer(tmp_path / "a", ARRAYS, 24)
+    layer = store.make_layer(tmp_path / "a", ARRAYS, 24)
     threads = [
         threading.Thread(target=lambda start=start: [layer.write(g, **_part(g)) for g in range(start, 24, 4)])
         for start in range(4)
@@ -194,48 +153,91 @@ def test_threads_may_write(tmp_path):
         np.testing.assert_array_equal(again.read("values", group), _part(group)["values"])
 
 
-def test_flipped_bit_is_found_in_every_chunk(tmp_path):
-    _layer(tmp_path / "a", range(GROUPS)).finish()
-    chunks = sorted(path for path in (tmp_path / "a").rglob("c/*/**/*") if path.is_file())
-    assert len(chunks) == GROUPS * len(ARRAYS)
+def test_two_processes_see_each_others_work(tmp_path):
+    one, other = _layer(tmp_path / "a"), _layer(tmp_path / "a")
+    one.write(3, **_part(3))
+    assert [other.has(2), other.has(3)] == [False, True]
+    assert other.missing == [0, 1, 2, 4, 5]
+    # Written twice, as happens where both began at once.
+    other.write(3, **_part(3))
+    np.testing.assert_array_equal(one.read("values", 3), _part(3)["values"])
+
+
+# Damage: noticed by whoever reads, mended by whoever makes.
+
+
+def _damaged(path: pathlib.Path, how: str) -> None:
+    content = bytearray(path.read_bytes())
+    if how == "no file":
+        path.unlink()
+        return
+    if how == "flipped":
+        content[len(content) // 2] ^= 16
+    path.write_bytes({"flipped": content, "empty": b"", "half": content[: len(content) // 2], "zeros": bytes(99)}[how])
+
+
+HOW = "no file", "flipped", "empty", "half", "zeros"
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_damaged_group_is_noticed_and_made_anew(tmp_path, how: str):
+    _layer(tmp_path / "a", range(GROUPS))
+    before = _contents(tmp_path)
+    _damaged(tmp_path / "a" / "000002", how)
+    layer = store.open_layer(tmp_path / "a")
+    for group in (2, None):
+        message = _refused(layer.read, "values", group)
+        assert str(tmp_path / "a" / "000002") in message
+        assert "run precompute again: it makes" in message
+    np.testing.assert_array_equal(layer.read("values", 1), _part(1)["values"])
+    again = _layer(tmp_path / "a")
+    assert again.missing == [2]
+    again.write(2, **_part(2))
+    assert _contents(tmp_path) == before
+
+
+def test_swapped_groups_are_noticed(tmp_path):
+    _layer(tmp_path / "a", range(GROUPS))
+    one, other = tmp_path / "a" / "000001", tmp_path / "a" / "000004"
+    one.rename(tmp_path / "x")
+    other.rename(one)
+    (tmp_path / "x").rename(other)
+    assert "damaged, it holds 'a/4'" in _refused(store.open_layer(tmp_path / "a").read, "bits", 1)
+    assert _layer(tmp_path / "a").missing == [1, 4]
+
+
+def test_group_of_another_layer_is_noticed(tmp_path):
+    for name in "ab":
+        _layer(tmp_path / name, range(GROUPS))
+    shutil.copy(tmp_path / "a" / "000001", tmp_path / "b" / "000001")
+    assert "it holds 'a/1'" in _refused(store.open_layer(tmp_path / "b").read, "bits", 1)
+
+
+def test_flipped_bit_is_noticed_wherever_it_is(tmp_path):
+    _layer(tmp_path / "a", range(GROUPS))
+    files = sorted(path for path in (tmp_path / "a").iterdir())
+    assert len(files) == GROUPS + 1
     generator = np.random.default_rng(0)
-    for chunk in chunks:
-        name, group = chunk.relative_to(tmp_path / "a").parts[0], int(chunk.relative_to(tmp_path / "a").parts[2])
-        good = chunk.read_bytes()
-        for bit in generator.choice(8 * len(good), 4, replace=False):
+    for path in files:
+        good = path.read_bytes()
+        for bit in generator.choice(8 * len(good), 40, replace=False):
             bad = bytearray(good)
             bad[bit // 8] ^= 1 << bit % 8
-            chunk.write_bytes(bad)
-            layer = store.open_layer(tmp_path / "a")
-            for part in (group, slice(None)):
-                message = _refused(layer.read, name, part)
-                assert str(tmp_path / "a") in message
-                assert f"'{name}' is damaged" in message
-        chunk.write_bytes(good)
-    store.open_layer(tmp_path / "a").read("values")
+            path.write_bytes(bad)
+            message = _refused(lambda: store.open_layer(tmp_path / "a").read_all())
+            assert "run precompute again" in message
+        path.write_bytes(good)
+    store.open_layer(tmp_path / "a").read_all()
 
 
-@pytest.mark.parametrize("length", [0, 3, 10])
-def test_cut_chunk_is_found(tmp_path, length: int):
-    layer = _layer(tmp_path / "a", range(GROUPS))
-    chunk = next(path for path in (tmp_path / "a" / "values" / "c" / "2").rglob("*") if path.is_file())
-    chunk.write_bytes(chunk.read_bytes()[:length])
-    assert "'values' is damaged" in _refused(layer.read, "values", 2)
-
-
-@pytest.mark.parametrize("victim", ["layout.json", "zarr.json", "values/zarr.json"])
-@pytest.mark.parametrize("left", ["nothing", "half", "no text", "no file"])
-def test_damaged_description_is_refused(tmp_path, victim: str, left: str):
-    _layer(tmp_path / "a", range(GROUPS)).finish()
-    path = tmp_path / "a" / victim
-    content = path.read_bytes()
-    if left == "no file":
-        path.unlink()
-    else:
-        path.write_bytes({"nothing": b"", "half": content[: len(content) // 2], "no text": b"\xff\xfe\x00"}[left])
-    message = _refused(store.open_layer, tmp_path / "a")
-    assert "damaged" in message
-    assert "run" in message
+@pytest.mark.parametrize("how", HOW)
+def test_damaged_layout_is_noticed_and_made_anew(tmp_path, how: str):
+    _layer(tmp_path / "a", range(GROUPS))
+    before = _contents(tmp_path)
+    _damaged(tmp_path / "a" / "layout.json", how)
+    assert "missing or damaged; run precompute again" in _refused(store.open_layer, tmp_path / "a")
+    assert _layer(tmp_path / "a").missing == []
+    assert _contents(tmp_path) == before
 
 
 def test_layer_that_is_not_there_is_refused(tmp_path):
@@ -243,20 +245,34 @@ def test_layer_that_is_not_there_is_refused(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.parametrize("old", [True, False])
+def test_what_a_killed_process_left_is_swept(tmp_path, old: bool):
+    """But not what another process is writing at this moment."""
+    _layer(tmp_path / "a", [0])
+    partial = tmp_path / "a" / ".000001.0123"
+    partial.write_bytes(b"cut")
+    if old:
+        long_ago = time.time() - 1000
+        os.utime(partial, (long_ago, long_ago))
+    assert _layer(tmp_path / "a").done == {0}
+    assert partial.exists() != old
+
+
 def test_full_disk_is_told_and_what_is_done_is_kept(tmp_path, monkeypatch):
     layer = _layer(tmp_path / "a", [0, 1])
+    before = _contents(tmp_path)
 
-    class Full:
-        def __setitem__(self, group, values):
-            raise OSError(28, "No space left on device")
+    def fail(self, content):
+        with self.open("wb") as file:
+            file.write(content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setitem(layer._arrays, "values", Full())
+        patch.setattr(pathlib.Path, "write_bytes", fail)
         message = _refused(lambda: layer.write(2, **_part(2)))
-    assert "No space left on device; what is finished is kept" in message
-    again = store.open_layer(tmp_path / "a")
-    assert again.done == {0, 1}
-    np.testing.assert_array_equal(again.read("values", 1), _part(1)["values"])
+    assert "No space left on device; what is finished is kept, make room and run again" in message
+    assert _contents(tmp_path) == before
+    assert store.open_layer(tmp_path / "a").done == layer.done == {0, 1}
 
 
 def test_header_round_trip(tmp_path):
@@ -275,12 +291,13 @@ def test_header_round_trip(tmp_path):
     [
         (None, "not a store, or its precomputation was not finished; run precompute"),
         (b"", "damaged; run precompute again"),
-        (b'{"format": 1, "sce', "damaged; run precompute again"),
+        (b'{"format": 3, "sce', "damaged; run precompute again"),
+        (b'{"format": 3, "scene": "x"}', "damaged; run precompute again"),
         (b"\xff\xfe\x00", "damaged; run precompute again"),
-        (b"[1]", "format None is not format 2"),
-        (b"{}", "format None is not format 2"),
-        (b'{"format": 0}', "format 0 is not format 2"),
-        (b'{"format": 1}', "format 1 is not format 2"),
+        (b"[1]", "damaged; run precompute again"),
+        (b"{}", "format None is not format 3"),
+        (b'{"format": 2}', "format 2 is not format 3"),
+        (b'{"format": 4}', "format 4 is not format 3"),
     ],
 )
 def test_bad_header_is_refused(tmp_path, content, message: str):
@@ -295,15 +312,28 @@ def test_header_is_replaced_whole(tmp_path, monkeypatch):
     """A write that fails half-way leaves the old header."""
     store.write_header(tmp_path, {"scene": "old"})
 
-    def fail(self, text, encoding):
-        self.write_bytes(text.encode(encoding)[:5])
-        raise OSError(28, "No space left on device")
+    def fail(self, content):
+        with self.open("wb") as file:
+            file.write(content[:5])
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(pathlib.Path, "write_text", fail)
-        with pytest.raises(OSError, match="No space"):
-            store.write_header(tmp_path, {"scene": "new"})
+        patch.setattr(pathlib.Path, "write_bytes", fail)
+        assert "No space" in _refused(store.write_header, tmp_path, {"scene": "new"})
     assert store.read_header(tmp_path)["scene"] == "old"
+
+
+def test_every_flipped_bit_of_the_header_is_noticed(tmp_path):
+    store.write_header(tmp_path, {"scene": "x", "settings": {"terms": 4, "scale": 0.5}, "environment": None})
+    path = tmp_path / "store.json"
+    good = path.read_bytes()
+    for bit in range(8 * len(good)):
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(bad)
+        assert "precompute again" in _refused(store.read_header, tmp_path)
+    path.write_bytes(good)
+    assert store.read_header(tmp_path)["scene"] == "x"
 
 
 def test_default_folder_is_in_the_users_cache(monkeypatch, tmp_path):
@@ -317,15 +347,10 @@ def test_default_folder_is_in_the_users_cache(monkeypatch, tmp_path):
 
 def test_layout_describes_the_arrays(tmp_path):
     """A store explains itself: no pickle, no code needed to read it."""
-    layer = _layer(tmp_path / "a", range(GROUPS))
-    layout = json.loads((layer.folder / "layout.json").read_text())
-    assert layout == {"groups": GROUPS, "arrays": {"values": [[4, 3], "float32"], "bits": [[5], "uint8"]}}
-
-
-def test_layer_can_be_moved(tmp_path):
-    _layer(tmp_path / "a", range(GROUPS)).finish()
-    shutil.move(tmp_path / "a", tmp_path / "b")
-    np.testing.assert_array_equal(store.open_layer(tmp_path / "b").read("values", 3), _part(3)["values"])
+    layout = json.loads((_layer(tmp_path / "a").folder / "layout.json").read_text())
+    assert layout.pop("sha256")
+    arrays = {"values": [[4, 3], "float32"], "bits": [[5], "uint8"]}
+    assert layout == {"format": store.FORMAT, "groups": GROUPS, "arrays": arrays}
 
 
 @pytest.mark.parametrize(
@@ -339,38 +364,3 @@ def test_layer_can_be_moved(tmp_path):
 )
 def test_keys_do_not_run_into_each_other(one, other):
     assert store.key_of(*one) != store.key_of(*other)
-
-
-def _filled(folder, groups=3):
-    layer = store.Layer(folder, {"x": ((2,), np.dtype(np.float32))}, groups)
-    for group in range(groups):
-        layer.write(group, x=np.full(2, group, np.float32))
-    return layer
-
-
-def test_a_line_cut_short_is_not_gone_on_with(tmp_path):
-    layer = store.Layer(tmp_path / "x", {"x": ((2,), np.dtype(np.float32))}, 20)
-    layer.write(0, x=np.ones(2, np.float32))
-    with (tmp_path / "x" / "done").open("a") as journal:
-        journal.write("1")
-    layer = store.open_layer(tmp_path / "x")
-    layer.write(5, x=np.ones(2, np.float32))
-    assert store.open_layer(tmp_path / "x").done == {0, 5}
-
-
-@pytest.mark.parametrize("group", [0, 2])
-def test_a_chunk_that_is_gone_is_noticed(tmp_path, group):
-    # The first group holds nothing but zeros, which are written all the same.
-    _filled(tmp_path / "x").finish()
-    (tmp_path / "x" / "x" / "c" / str(group) / "0").unlink()
-    with pytest.raises(InputError, match="1 groups are lost"):
-        store.open_layer(tmp_path / "x")
-
-
-@pytest.mark.parametrize("text", ["", "{", "{}", '{"shape": [1]}'])
-def test_damaged_array_metadata_is_one_line(tmp_path, text):
-    _filled(tmp_path / "x").finish()
-    (tmp_path / "x" / "x" / "zarr.json").write_text(text)
-    with pytest.raises(InputError, match="delete this folder") as caught:
-        store.Layer(tmp_path / "x", {"x": ((2,), np.dtype(np.float32))}, 3)
-    assert "\n" not in str(caught.value)

@@ -18,6 +18,9 @@ from jaxrelight.errors import InputError
 
 Form = Literal["svd", "symmetric", "normalised"]
 
+# Over four BRDFs and seven environments, pictures with these powers were nearest to those of the BRDF itself.
+COSINE = (0.25, 0.25)
+
 # Pairs of directions that are evaluated at a time, bytes of a matrix in double precision, and of any.
 _BLOCK, _DOUBLE, _LARGEST = 2**21, 2**28, 3 * 2**29
 
@@ -95,7 +98,7 @@ def factor(
     *,
     form: Literal["svd", "normalised"] = "svd",
     parametrisation: Parametrisation = DISC,
-    cosine: tuple[float, float] = (0.0, 0.0),
+    cosine: tuple[float, float] = COSINE,
 ) -> Factored: ...
 @overload
 def factor(
@@ -105,7 +108,7 @@ def factor(
     *,
     form: Form,
     parametrisation: Parametrisation = DISC,
-    cosine: tuple[float, float] = (0.0, 0.0),
+    cosine: tuple[float, float] = COSINE,
 ) -> Factored | Symmetric: ...
 def factor(
     brdf: Brdf,
@@ -114,7 +117,7 @@ def factor(
     *,
     form: Form = "svd",
     parametrisation: Parametrisation = DISC,
-    cosine: tuple[float, float] = (0.0, 0.0),
+    cosine: tuple[float, float] = COSINE,
 ) -> Factored | Symmetric:
     """A BRDF as a sum of products of maps, for each channel by itself.
 
@@ -133,7 +136,7 @@ def factor(
         parametrisation: of the maps: `DISC` (eq. 10) or `POLAR` (eq. 11).
         cosine: powers of cosθ_i and of cosθ_o by which the error that is minimised is multiplied; the maps are those
             of the BRDF itself all the same. (0, 0) leaves the cosine out as the paper does, (1, 0) folds it in as Liu
-            et al. 2004 do.
+            et al. 2004 do. Some of it keeps terms from being spent on peaks at grazing angles, which hardly show.
 
     Raises:
         InputError: if more terms are asked for than the map has directions, or than a form has; if the matrix would
@@ -298,7 +301,13 @@ def _asymmetry(matrix: np.ndarray, rows: int = 256) -> float:
 
 
 def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(u [m, k], σ [k] descending, v [n, k]), with signs such that every u sums to no less than 0."""
+    """(u [m, k], σ [k] descending, v [n, k]), with signs such that every u sums to no less than 0.
+
+    The eigenvectors of a symmetric matrix are found sooner than singular vectors, and more precisely.
+    """
+    if _asymmetry(matrix) < 1e-5:
+        value, q = _largest_eigen(matrix, terms)
+        return q, np.abs(value), q * np.where(value < 0, -1, 1)
     if terms > min(matrix.shape) // 4:
         u, sigma, vt = np.linalg.svd(matrix)
         u, sigma, vt = u[:, :terms], sigma[:terms], vt[:terms]

@@ -31,13 +31,15 @@ class Demo:
         import jax
         import numpy as np
 
-        from jaxrelight.commands.precompute import describe
-        from jaxrelight.commands.progress import progress, summarize
+        from jaxrelight.commands.precompute import as_made
+        from jaxrelight.commands.progress import progress
+        from jaxrelight.commands.relight import describe
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.demo_scene import demo_scene
         from jaxrelight.errors import InputError
         from jaxrelight.images import image_error, write_image
         from jaxrelight.lighting.transport import Relighter
-        from jaxrelight.transport.load import exact
+        from jaxrelight.transport.load import exact, load
         from jaxrelight.transport.precompute import precompute
         from jaxrelight.transport.settings import Settings
 
@@ -49,14 +51,14 @@ class Demo:
         assert sky is not None
         with progress(self.json) as report:
             made = precompute(scene, Settings(resolution=32, terms=8, coefficients=256), self.output / "store", report)
-        relighter = Relighter.open(made.folder)
+        relighter = Relighter(load(made.folder, made.header))
 
         # Twice as many pixels along each side, averaged afterwards: smooth edges.
         cameras = [
             dataclasses.replace(scene.camera, origin=eye, width=2 * scene.camera.width, height=2 * scene.camera.height)
             for eye in _EYES
         ]
-        timed: dict[str, list[float]] = {"change of light": [], "shading": []}
+        timed: dict[str, list[float]] = {"change_of_light": [], "shading": []}
 
         def lit(environment, view):
             """The light terms and the picture, timed."""
@@ -64,7 +66,7 @@ class Demo:
             terms = jax.block_until_ready(relighter.light(environment))
             middle = time.perf_counter()
             jax.block_until_ready(relighter.shade(terms, view))
-            timed["change of light"].append(middle - began)
+            timed["change_of_light"].append(middle - began)
             timed["shading"].append(time.perf_counter() - middle)
             return relighter.image(environment, view, terms)
 
@@ -86,20 +88,18 @@ class Demo:
         kept = lit(sky, view)
         reference = Relighter(exact(relighter.transport)).image(sky, view)
         error = image_error(kept, reference)
-        summary = describe(made)
         summarize(
             {
-                **summary,
+                "command": "demo",
+                **as_made(made),
+                "picture": str(self.output / "relit.png"),
+                **describe(relighter.transport),
                 "milliseconds": {
-                    "change of view": 1e3 * viewed,
+                    "change_of_view": 1e3 * viewed,
                     **{name: 1e3 * times[-1] for name, times in timed.items()},
                 },
-                "error": {
-                    f"{summary['settings']['coefficients']} coefficients against all": error.untrimmed,
-                    "without the worst 5 %": error.trimmed,
-                },
-                "pictures": str(self.output / "relit.png"),
-                "seconds_in_all": time.perf_counter() - start,
+                "error": {"coefficients": error.untrimmed, "without_worst_5_percent": error.trimmed},
+                "seconds": {**made.seconds, "total": time.perf_counter() - start},
             },
             self.json,
         )

@@ -1,5 +1,6 @@
 """jaxrelight info: what a store, scene or image is."""
 
+import collections
 import dataclasses
 import pathlib
 from typing import TYPE_CHECKING
@@ -21,7 +22,7 @@ class Info:
 
     def run(self):
         """Runs the command."""
-        from jaxrelight.commands.progress import summarize
+        from jaxrelight.commands.summary import summarize
 
         if self.path.is_dir():
             summary = _store(self.path)
@@ -29,34 +30,32 @@ class Info:
             summary = _scene(self.path)
         else:
             summary = _image(self.path)
-        summarize(summary, self.json)
+        summarize({"command": "info", **summary}, self.json)
 
 
 def _store(path: pathlib.Path) -> dict:
     import numpy as np
 
     from jaxrelight import store
+    from jaxrelight.commands.relight import describe
     from jaxrelight.transport.load import load
 
-    header, transport = store.read_header(path), load(path)
-    layers = sorted(folder for folder in path.iterdir() if (folder / "layout.json").exists())
-    used = {header["geometry"], header["visibility"]}
-    used |= {name for record in header["materials"] for name in store.layers_of(record)}
+    header = store.read_header(path)
+    transport, used = load(path, header), set(store.layers_of(header))
+    layers = sorted(folder for folder in path.iterdir() if folder.is_dir())
+    terms = collections.Counter()
+    for block in transport.blocks:
+        terms[block.material] += block.reflection.terms
     summary = {
+        "kind": "store",
         "store": str(path),
         "scene": header["scene"],
         "receivers": transport.receivers.count,
         "rows": transport.operator.shape[0],
-        "materials": {
-            name: f"{sum(block.reflection.terms for block in transport.blocks if block.material == name)} terms"
-            for name in dict.fromkeys(transport.names)
-        },
-        "settings": header["settings"],
-        "operator_bytes": transport.operator.nbytes,
-        "kept_energy": transport.kept,
-        "bytes": {folder.name: store.open_layer(folder).nbytes for folder in layers},
+        "materials": dict(terms),
+        "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
-        "jaxrelight": header["jaxrelight"],
+        **describe(transport),
     }
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
     if dropped:
@@ -73,17 +72,22 @@ def _scene(path: pathlib.Path) -> dict:
 
     scene = open_scene(path)
     notes(scene.notes)
-    environment = scene.environment
+    sky, camera = scene.environment, scene.camera
     return {
+        "kind": "scene",
         "scene": str(path),
         "meshes": {
-            f"{i}:{part.name}": f"{len(part.mesh.vertices):,} vertices, {len(part.mesh.faces):,} faces, {part.material}"
+            f"{i}:{part.name}": {
+                "vertices": len(part.mesh.vertices),
+                "faces": len(part.mesh.faces),
+                "material": part.material,
+            }
             for i, part in enumerate(scene.parts)
         },
         "vertices": sum(len(part.mesh.vertices) for part in scene.parts),
         "materials": {name: _kind(as_material(surface)) for name, surface in scene.materials.items()},
-        "camera": f"{scene.camera.width} × {scene.camera.height} pixels, {scene.camera.fov_y}° high",
-        "environment": "none" if environment is None else f"{environment.pixels.shape[1]} × {len(environment.pixels)}",
+        "camera": {"width": camera.width, "height": camera.height, "fov_y": camera.fov_y},
+        "environment": sky and {"width": sky.pixels.shape[1], "height": sky.pixels.shape[0]},
     }
 
 
@@ -102,8 +106,11 @@ def _image(path: pathlib.Path) -> dict:
     colour = pixels[..., :3]
     finite = np.isfinite(colour).all(axis=-1)
     return {
+        "kind": "image",
         "image": str(path),
-        "size": f"{pixels.shape[1]} × {pixels.shape[0]}, {pixels.shape[2]} channels",
+        "width": pixels.shape[1],
+        "height": pixels.shape[0],
+        "channels": pixels.shape[2],
         "largest": float(colour[finite].max()) if finite.any() else 0.0,
         "mean": [float(channel) for channel in colour[finite].mean(axis=0)] if finite.any() else [],
         "negative_pixels": int((colour[finite] < 0).any(axis=-1).sum()),

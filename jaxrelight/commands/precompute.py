@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+import time
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
@@ -33,32 +34,34 @@ class Precompute:
 
     def run(self):
         """Runs the command."""
-        from jaxrelight.commands.progress import notes, progress, summarize
+        start = time.perf_counter()
+        from jaxrelight.commands.progress import notes, progress
+        from jaxrelight.commands.relight import describe, timed
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.mesh_scene import open_scene
+        from jaxrelight.transport.load import load
         from jaxrelight.transport.precompute import precompute
 
-        scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
+        seconds = {}
+        with timed(seconds, "load"):
+            scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
         notes(scene.notes)
         with progress(self.json) as report:
-            summary = precompute(scene, self.dials.settings(self.receivers), self.output, report)
-        notes(summary.notes)
-        summarize(describe(summary), self.json)
+            made = precompute(scene, self.dials.settings(self.receivers), self.output, report)
+        notes(made.notes)
+        seconds |= made.seconds
+        with timed(seconds, "open"):
+            transport = load(made.folder, made.header)
+        seconds["total"] = time.perf_counter() - start
+        summary = {"command": "precompute", **as_made(made), **describe(transport), "seconds": seconds}
+        summarize(summary, self.json)
 
 
-def describe(summary: "Summary") -> dict:
-    """A precomputation as a summary that can be printed."""
-    from jaxrelight.commands.progress import versions
-    from jaxrelight.transport.load import load
-
-    transport = load(summary.folder)
+def as_made(made: "Summary") -> dict:
+    """What a precomputation did, as a part of a summary."""
     return {
-        "store": str(summary.folder),
-        "receivers": summary.receivers,
-        "rays": summary.rays,
-        "seconds": summary.seconds,
-        "bytes": summary.nbytes,
-        "operator_bytes": transport.operator.nbytes,
-        "kept_energy": transport.kept,
-        "settings": dataclasses.asdict(transport.settings),
-        "versions": versions(),
+        "store": str(made.folder),
+        "receivers": made.receivers,
+        "rays": made.rays,
+        "bytes": made.nbytes,
     }

@@ -1,57 +1,87 @@
-"""What a long command shows, and what it prints at its end."""
+"""What a long command shows while it runs, on standard error."""
 
 import contextlib
-import json
 import sys
+import time
 from collections.abc import Callable, Iterator
+
+# Seconds between two lines where there is no terminal to draw bars on.
+_PAUSE = 10
 
 
 @contextlib.contextmanager
 def progress(quiet: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A report function (stage, done, total) that draws bars on standard error while the block runs."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    """A report function (stage, done, total) for the length of the block.
 
-    columns = TextColumn("{task.description:>28}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal) as bars:
-        tasks = {}
+    Draws bars with the time that is left on a terminal, and writes a line now and then to anything else. Somebody who
+    interrupts the block is told how far it had come.
+    """
+    last = ("nothing", 0, 1)
+
+    def remember(*state):
+        nonlocal last
+        last = state
+
+    with _lines(quiet) if quiet or not sys.stderr.isatty() else _bars() as show:
 
         def report(stage: str, done: int, total: int):
+            remember(stage, done, total)
+            show(stage, done, total)
+
+        try:
+            yield report
+        except KeyboardInterrupt as stop:
+            stage, done, total = last
+            stop.add_note(f"{_percent(done, total)} of {stage}")
+            raise
+
+
+@contextlib.contextmanager
+def _bars():
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    # The last column says what is counted, and is the first to go where the terminal is narrow.
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=20),
+        TaskProgressColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks = {}
+
+        def show(stage: str, done: int, total: int):
             if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
+                tasks[stage] = bars.add_task(f"{stage}, {total:,} points", total=total)
             bars.update(tasks[stage], completed=done)
 
-        yield report
+        yield show
+
+
+@contextlib.contextmanager
+def _lines(quiet: bool):
+    start = told = time.monotonic()
+    current, first = "", 0
+
+    def show(stage: str, done: int, total: int):
+        nonlocal start, told, current, first
+        now = time.monotonic()
+        if stage != current:
+            current, start, first = stage, now, done
+        if not quiet and now - told > _PAUSE and first < done < total:
+            told = now
+            left = (now - start) / (done - first) * (total - done)
+            print(f"{stage}: {_percent(done, total)} of {total:,} points, {left:.0f} s left", file=sys.stderr)
+
+    yield show
+
+
+def _percent(done: int, total: int) -> str:
+    return f"{100 * done // max(total, 1)} %"
 
 
 def notes(lines) -> None:
     """What was mended, on standard error."""
     for line in lines:
         print(f"note: {line}", file=sys.stderr)
-
-
-def summarize(summary: dict, as_json: bool) -> None:
-    """Prints a summary: one JSON object, or a line for each entry."""
-    if as_json:
-        print(json.dumps(summary))
-        return
-    for name, value in summary.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{key} {_short(entry)}" for key, entry in value.items())
-        print(f"{name.replace('_', ' '):>16}  {_short(value)}")
-
-
-def versions() -> dict[str, str]:
-    """Of this package and of those that its numbers depend on."""
-    import importlib.metadata
-
-    return {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")}
-
-
-def _short(value) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, int) and not isinstance(value, bool):
-        return f"{value:,}"
-    return str(value)

@@ -1,12 +1,20 @@
 """jaxrelight relight: a picture from a store."""
 
+import contextlib
 import dataclasses
 import pathlib
 import time
+from typing import TYPE_CHECKING
 
 import tyro
 
 from jaxrelight.commands.options import LightOptions, Output, PictureOptions, ViewOptions
+
+if TYPE_CHECKING:
+    from jaxrelight.geometry.camera import Camera
+    from jaxrelight.lighting.transport import Relighter
+    from jaxrelight.lights.environment import Environment
+    from jaxrelight.transport.load import Transport
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,54 +33,71 @@ class Relight:
 
     def run(self):
         """Runs the command."""
-        from jaxrelight.commands.progress import summarize
+        start = time.perf_counter()
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.commands.summary import summarize
+        from jaxrelight.images import check_writable
+        from jaxrelight.lighting.transport import Relighter
+        from jaxrelight.transport.load import load, stored_environment
 
-        picture = relight(self.store, self.output, self.light, self.view, self.picture)
-        summarize(picture, self.json)
+        check_writable(self.output)
+        seconds = {}
+        with timed(seconds, "open"):
+            transport = load(self.store)
+        with timed(seconds, "environment"):
+            environment = self.light.environment(stored_environment(transport))
+            notes(environment.notes)
+        camera = self.view.camera(transport.camera)
+        picture = light_picture(Relighter(transport), environment, camera, self.output, self.picture)
+        seconds |= {**picture.pop("seconds"), "total": time.perf_counter() - start}
+        store = {"command": "relight", "store": str(self.store)}
+        summarize({**store, **picture, **describe(transport), "seconds": seconds}, self.json)
 
 
-def relight(
-    folder: pathlib.Path, output: pathlib.Path, light: LightOptions, view: ViewOptions, picture: PictureOptions
+def light_picture(
+    relighter: "Relighter", environment: "Environment", camera: "Camera", output: pathlib.Path, picture: PictureOptions
 ) -> dict:
-    """Opens a store, lights it, writes the picture and says what it took."""
+    """Lights what was precomputed, writes the picture and says what it took."""
     import jax
 
-    from jaxrelight.commands.progress import notes, versions
-    from jaxrelight.images import check_writable, write_image
-    from jaxrelight.lighting.transport import Relighter
-    from jaxrelight.transport.load import stored_environment
+    from jaxrelight.images import write_image
 
-    check_writable(output)
-    seconds, start = {}, time.perf_counter()
-
-    def lap(stage: str):
-        nonlocal start
-        seconds[stage], start = time.perf_counter() - start, time.perf_counter()
-
-    relighter = Relighter.open(folder)
-    lap("open")
-    environment = light.environment(stored_environment(relighter.transport))
-    notes(environment.notes)
-    lap("environment")
-    camera = view.camera(relighter.transport.camera)
-    seen = relighter.view(camera)
-    lap("view")
-    terms = jax.block_until_ready(relighter.light(environment))
-    lap("light_first")
-    terms = jax.block_until_ready(relighter.light(environment))
-    lap("light")
-    image = relighter.image(environment, seen, terms, picture.background == "environment")
-    lap("shade")
-    write_image(output, image, picture.exposure)
-    lap("write")
+    seconds = {}
+    with timed(seconds, "view"):
+        seen = relighter.view(camera)
+    with timed(seconds, "light_first"):
+        terms = jax.block_until_ready(relighter.light(environment))
+    with timed(seconds, "light"):
+        terms = jax.block_until_ready(relighter.light(environment))
+    with timed(seconds, "shade"):
+        image = relighter.image(environment, seen, terms, picture.background == "environment")
+    with timed(seconds, "write"):
+        write_image(output, image, picture.exposure)
     return {
         "picture": str(output),
-        "size": f"{camera.width} × {camera.height}",
+        "width": camera.width,
+        "height": camera.height,
         "covered": float(seen.covered.mean()),
         "mean_radiance": float(image[seen.covered][:, :3].mean()) if seen.covered.any() else 0.0,
         "seconds": seconds,
-        "operator_bytes": relighter.transport.operator.nbytes,
-        "kept_energy": relighter.transport.kept,
-        "settings": dataclasses.asdict(relighter.transport.settings),
+    }
+
+
+def describe(transport: "Transport") -> dict:
+    """What a picture was lit with, as a part of a summary."""
+    from jaxrelight.commands.summary import versions
+
+    return {
+        "operator_bytes": transport.operator.nbytes,
+        "kept_energy": transport.kept,
+        "settings": dataclasses.asdict(transport.settings),
         "versions": versions(),
     }
+
+
+@contextlib.contextmanager
+def timed(seconds: dict[str, float], stage: str):
+    """Writes down the seconds of a block."""
+    start = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - start

@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+import time
 from typing import Literal
 
 import tyro
@@ -32,21 +33,33 @@ class Render:
 
     def run(self):
         """Runs the command."""
-        from jaxrelight.commands.precompute import describe
-        from jaxrelight.commands.progress import notes, progress, summarize
-        from jaxrelight.commands.relight import relight
+        start = time.perf_counter()
+        from jaxrelight.commands.precompute import as_made
+        from jaxrelight.commands.progress import notes, progress
+        from jaxrelight.commands.relight import describe, light_picture, timed
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.images import check_writable
+        from jaxrelight.lighting.transport import Relighter
         from jaxrelight.mesh_scene import open_scene
+        from jaxrelight.transport.load import load
         from jaxrelight.transport.precompute import precompute
 
         check_writable(self.output)
-        scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
-        # Found now rather than after a minute of rays.
-        self.light.environment(scene.environment)
-        scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
-        notes(scene.notes)
+        seconds = {}
+        with timed(seconds, "load"):
+            scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
+            # Found now rather than after a minute of rays.
+            environment = self.light.environment(scene.environment)
+            scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
+            notes(dict.fromkeys((*scene.notes, *environment.notes)))
         with progress(self.json) as report:
             made = precompute(scene, self.dials.settings(self.receivers), self.store, report)
         notes(made.notes)
-        picture = relight(made.folder, self.output, self.light, ViewOptions(), self.picture)
-        summarize({**describe(made), **picture, "seconds": {**made.seconds, **picture["seconds"]}}, self.json)
+        seconds |= made.seconds
+        with timed(seconds, "open"):
+            # Of this scene, whatever another process has meanwhile made of the store.
+            transport = load(made.folder, made.header)
+        picture = light_picture(Relighter(transport), environment, scene.camera, self.output, self.picture)
+        seconds |= {**picture.pop("seconds"), "total": time.perf_counter() - start}
+        summary = {"command": "render", **as_made(made), **picture, **describe(transport), "seconds": seconds}
+        summarize(summary, self.json)

@@ -25,3 +25,10 @@ def tangent_frame(
     # Near −y rounding tilts s.
     s = safe.normalize(s - jnp.sum(s * normal, axis=-1, keepdims=True) * normal)
     return jnp.stack([s, jnp.cross(normal, s), normal], axis=-2)
+
+
+def to_local(
+    normal: Float[Array, "... 3"], tangent: Float[Array, "... 3"], direction: Float[Array, "... 3"]
+) -> Float[Array, "... 3"]:
+    """World directions in the tangent frames of their normals and tangents."""
+    return jnp.einsum("...xy,...y->...x", tangent_frame(normal, tangent), direction, precision="highest")

@@ -1,5 +1,6 @@
 """Lighting by precomputed transport (Wang 2006 §4.3): light → light terms, and light terms → image."""
 
+import functools
 import pathlib
 
 import jax
@@ -12,11 +13,12 @@ from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.operators.contract import Operator
-from jaxrelight.operators.streamed import Streamed
-from jaxrelight.transport.load import Transport, load
+from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.transport.load import Block, Transport, load, padded_receivers
 
 # Light terms [receivers, k, c] of every block of the operator.
 LightTerms = tuple[Float[Array, "v k c"], ...]
@@ -47,9 +49,13 @@ class Relighter:
         return _light_vector(jnp.asarray(pixels), rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
-        """Light terms of a light vector: one application of the operator."""
-        parts = zip(self.transport.operator.operators, self.transport.reflections, strict=True)
-        return tuple(_apply(operator, light).reshape(-1, r.terms, light.shape[1]) for operator, r in parts)
+        """Light terms of a light vector: one application of the operator.
+
+        Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
+        about the same size compiles nothing new.
+        """
+        parts = zip(self.transport.operator.operators, self.transport.blocks, strict=True)
+        return tuple(_terms(operator, light, block) for operator, block in parts)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -107,14 +113,18 @@ class Relighter:
 _light_vector = jax.jit(encode)
 
 
-def _apply(operator: Operator, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-    """One operator's product, compiled unless it reads a store as it goes."""
-    return operator.apply(light) if isinstance(operator, Streamed) else _compiled_apply(operator, light)
+def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Float[Array, "v k c"]:
+    """One block's light terms, compiled unless the operator reads a store as it goes."""
+    receivers = padded_receivers(len(block.groups) * GROUP)
+    if isinstance(operator, SparseRows):
+        return _compiled_terms(operator.with_filling(), light, receivers, block.reflection.terms)
+    product = operator.apply(light).reshape(-1, block.reflection.terms, light.shape[1])
+    return jnp.pad(product, ((0, receivers - len(product)), (0, 0), (0, 0)))
 
 
-@jax.jit
-def _compiled_apply(operator: Operator, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-    return operator.apply(light)
+@functools.partial(jax.jit, static_argnames=("receivers", "terms"))
+def _compiled_terms(operator: Operator, light: Float[Array, "d c"], receivers: int, terms: int):
+    return operator.apply(light)[: receivers * terms].reshape(receivers, terms, light.shape[1])
 
 
 @jax.jit

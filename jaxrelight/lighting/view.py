@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
+from jaxrelight.buckets import bucket
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.geometry.frame import to_local
 from jaxrelight.transport.load import Transport
 from jaxrelight.transport.normal_maps import see
 
@@ -80,7 +81,7 @@ def make_view(transport: Transport, camera: Camera) -> View:
         groups = block.groups
         mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
         first = groups[0] * transport.receivers.positions.shape[1]
-        pad = _bucket(len(mine)) - len(mine)
+        pad = bucket(len(mine), 1024) - len(mine)
 
         def padded(rows, fill=0, mine=mine, pad=pad):
             return np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
@@ -97,17 +98,4 @@ def make_view(transport: Transport, camera: Camera) -> View:
     return View(tuple(parts[name] for name in transport.names), gbuffer.covered, gbuffer.directions)
 
 
-@jax.jit
-def _local(
-    normals: Float[Array, "p 3"], tangents: Float[Array, "p 3"], omega_o: Float[Array, "p 3"]
-) -> Float[Array, "p 3"]:
-    """Directions to the eye in the tangent frames of the interpolated normals."""
-    return jnp.einsum("pxy,py->px", tangent_frame(normals, tangents), omega_o, precision="highest")
-
-
-def _bucket(count: int) -> int:
-    """The next length of the form 2^e·(4 … 7)/4, at least 1,024: at most a quarter is padding."""
-    size = 1024
-    while size < count:
-        size = next((size * step // 4 for step in (5, 6, 7, 8) if size * step // 4 >= count), size * 2)
-    return size
+_local = jax.jit(to_local)

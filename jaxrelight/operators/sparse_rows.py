@@ -35,6 +35,11 @@ class SparseRows(Operator):
         """(r, d, c)."""
         return self.row_count, self.columns, len(self.values)
 
+    def with_filling(self) -> "SparseRows":
+        """The same, its filling counted among its rows: of one shape for many row counts."""
+        b, m, _ = self.indices.shape
+        return SparseRows(self.indices, self.values, b * m, self.columns)
+
     @property
     def nbytes(self) -> int:
         """Bytes of indices and values."""
@@ -79,15 +84,17 @@ class SparseRows(Operator):
 
 
 def sparse_rows(
-    indices: Int[Array | np.ndarray, "r n"], values: Float[Array | np.ndarray, "r c n"], columns: int
+    indices: Int[Array | np.ndarray, "r n"], values: Float[Array | np.ndarray, "r c n"], columns: int, held: int = 0
 ) -> SparseRows:
     """A row-sparse operator over `columns` light coefficients; indices must be below that.
 
+    At least `held` rows are held, those past r filled with zeros, so that operators of many sizes have few shapes.
     NumPy arrays are put into blocks by NumPy, so that nothing is compiled for their shapes.
     """
     r, c, n = values.shape
-    m = min(_BLOCK, r)
-    b = -(-r // m)
+    held = max(held, r)
+    m = min(_BLOCK, held)
+    b = -(-held // m)
     host = isinstance(indices, np.ndarray) and isinstance(values, np.ndarray)
 
     def blocks(rows) -> Array:

@@ -1,11 +1,13 @@
 """From a store to the operator, and to all that is needed to light and to view with it."""
 
 import dataclasses
+import functools
 import pathlib
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
@@ -15,13 +17,14 @@ from jaxrelight.brdf.factors import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
 from jaxrelight.brdf.texture import Texture, Weight, constant
+from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.geometry.frame import tangent_frame, to_local
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.lights.environment import Environment, load_environment
+from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
@@ -66,7 +69,7 @@ class Transport:
         basis: of the operator's light.
         kept: share of transport energy that the operator keeps.
         camera: the scene's.
-        lit: whether the scene has an environment.
+        environment: the layer of the scene's own environment, if it has one.
         rotate_y: of that environment.
         scale: of that environment.
         folder: the store.
@@ -83,7 +86,7 @@ class Transport:
     basis: bake.Basis
     kept: float
     camera: Camera
-    lit: bool
+    environment: store.Layer | None
     rotate_y: float
     scale: float
     folder: pathlib.Path
@@ -100,14 +103,18 @@ class Transport:
         return [block.reflection for block in self.blocks]
 
 
-def load(folder: str | pathlib.Path) -> Transport:
-    """Opens a store.
+def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
+    """Opens a store; nothing is written.
+
+    Args:
+        folder: the store.
+        header: of the scene that is wanted, as `precompute` gives it; by default of the last one precomputed.
 
     Raises:
         InputError: if it is not complete, damaged, or of another format.
     """
     folder = pathlib.Path(folder)
-    header = store.read_header(folder)
+    header = header or store.read_header(folder)
     try:
         return _load(folder, header)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
@@ -135,8 +142,6 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
     receivers = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
     if len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    frames = frames_of(receivers)
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
         raise ValueError("materials and meshes do not belong together")
     blocks, operators, total = [], [], 0.0
@@ -149,19 +154,20 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         )
         dropped = None
         if settings.coefficients == "all":
-            operators.append(_streamed(visibility, groups, frames[groups], reflection, directions))
+            operators.append(_streamed(settings, visibility, receivers, groups, reflection))
         else:
             layer = store.open_layer(folder / record["transport"])
             if layer.missing:
                 raise InputError(f"{folder}: {len(layer.missing)} groups are missing; run precompute to complete them")
-            operators.append(_sparse_rows(layer, settings))
-            dropped = layer.read("dropped").reshape(-1, reflection.channels)
-            total += float(layer.read("total").sum(dtype=float)) * 3 / reflection.channels
+            arrays = layer.read_all()
+            operators.append(_sparse_rows(layer.folder, arrays["indices"], arrays["values"], settings))
+            dropped = arrays["dropped"].reshape(-1, reflection.channels)
+            total += float(arrays["total"].sum(dtype=float)) * 3 / reflection.channels
         weight = tuple(read_texture(folder, entry) for entry in record["weight"])
         blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped))
     dropped = [block.dropped for block in blocks if block.dropped is not None]
     left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
-    environment = header["environment"] or {"rotate_y": 0.0, "scale": 1.0}
+    environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
     return Transport(
         settings=settings,
         surfaces=at_vertices(surfaces, normal_maps) if settings.receivers == "vertices" else surfaces,
@@ -173,7 +179,7 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         basis=cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution),
         kept=1 - left / total if total else 1.0,
         camera=camera,
-        lit=header["environment"] is not None,
+        environment=store.open_layer(folder / environment["pixels"]) if environment["pixels"] else None,
         rotate_y=environment["rotate_y"],
         scale=environment["scale"],
         folder=folder,
@@ -183,10 +189,9 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
 
 def stored_environment(transport: Transport) -> Environment | None:
     """The environment of the scene that the store was made from."""
-    path = transport.folder / "environment.exr"
-    if not transport.lit:
+    if transport.environment is None:
         return None
-    return load_environment(path, transport.rotate_y, transport.scale, layout="latlong")
+    return Environment(transport.environment.read("pixels", 0), transport.rotate_y, transport.scale)
 
 
 def exact(transport: Transport) -> Transport:
@@ -195,10 +200,8 @@ def exact(transport: Transport) -> Transport:
     The reference that the kept coefficients are measured against; factors stay what they are.
     """
     settings = transport.settings
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    frames = frames_of(transport.receivers)
     operators = [
-        _streamed(transport.visibility, block.groups, frames[block.groups], block.reflection, directions)
+        _streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
         for block in transport.blocks
     ]
     return dataclasses.replace(
@@ -211,13 +214,16 @@ def exact(transport: Transport) -> Transport:
     )
 
 
-def _streamed(visibility, groups, frames, reflection, directions) -> Streamed:
+def _streamed(
+    settings: Settings, visibility: store.Layer, receivers: Receivers, groups: np.ndarray, reflection: Reflection
+) -> Streamed:
     """The exact operator of one material's groups, reading visibility from its layer."""
 
     def read_bits(group: int) -> np.ndarray:
         return visibility.read("bits", int(groups[group]))
 
-    return Streamed(read_bits, frames, reflection, directions)
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    return Streamed(read_bits, jnp.asarray(frames_of(receivers, groups)), reflection, directions)
 
 
 def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
@@ -228,7 +234,6 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
     """
     settings = transport.settings
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    frames = frames_of(transport.receivers)
     operators, blocks = [], []
     for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):
         groups = block.groups
@@ -238,11 +243,12 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
             continue
         assert isinstance(old, SparseRows)
         n = old.indices.shape[-1]
+        frames = frames_of(transport.receivers, groups)
         kept = old.indices.reshape(-1, n)[: old.row_count].reshape(len(groups), GROUP, reflection.terms, n)
         values = [
             bake.bake_kept(
                 jnp.asarray(transport.visibility.read("bits", int(group))),
-                frames[group],
+                frames[i],
                 of_group(reflection, i),
                 directions,
                 transport.basis,
@@ -251,7 +257,8 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
             for i, group in enumerate(groups)
         ]
         joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
-        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns))
+        held = padded_receivers(len(groups) * GROUP) * reflection.terms
+        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns, held))
     return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
 
 
@@ -279,17 +286,27 @@ def receivers_of(
     return pixel_receivers(see(surfaces, tracer, camera, normal_maps), material_of_mesh)
 
 
-def frames_of(receivers: Receivers) -> Float[Array, "g m 3 3"]:
-    """The tangent frames of the receivers' shading normals."""
-    return tangent_frame(*(jnp.asarray(v, jnp.float32) for v in (receivers.normals, receivers.tangents)))
+def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:
+    """The tangent frames of some groups."""
+    return _by_group(tangent_frame, receivers.normals[groups], receivers.tangents[groups])
 
 
 def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
     """The exact reflection of some groups of pixel receivers."""
-    frames = frames_of(receivers)[groups]
     assert receivers.omega_o is not None
-    omega_o = jnp.asarray(receivers.omega_o[groups], jnp.float32)
-    return FixedView(brdf, jnp.einsum("gmxy,gmy->gmx", frames, omega_o))
+    arrays = receivers.normals, receivers.tangents, receivers.omega_o
+    return FixedView(brdf, _by_group(to_local, *(array[groups] for array in arrays)))  # pyright: ignore[reportArgumentType]
+
+
+def _by_group(function, *arrays: Float[np.ndarray, "g m ..."]) -> Float[np.ndarray, "g m ..."]:
+    """A function of the arrays of one group, for many: compiled once, however many there are."""
+    compiled = _compiled(function)
+    # Constants, also where a caller is being traced.
+    with jax.ensure_compile_time_eval():
+        return np.stack([compiled(*(part.astype(np.float32) for part in group)) for group in zip(*arrays, strict=True)])
+
+
+_compiled = functools.cache(jax.jit)
 
 
 def read_factors(layer: store.Layer) -> Factored:
@@ -304,10 +321,15 @@ def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
     return constant(entry)
 
 
-def _sparse_rows(layer: store.Layer, settings: Settings) -> SparseRows:
-    indices, values = layer.read("indices"), layer.read("values")
-    indices = indices.reshape(-1, indices.shape[-1])
+def padded_receivers(count: int) -> int:
+    """For how many receivers light terms of a material are computed: zeros past `count`, which nobody reads."""
+    return bucket(count, 8 * GROUP)
+
+
+def _sparse_rows(folder: pathlib.Path, indices: np.ndarray, values: np.ndarray, settings: Settings) -> SparseRows:
+    """The operator of one block, from its layer's arrays [g, m, k, …]."""
     if indices.max() >= 6 * settings.resolution**2:
-        raise InputError(f"{layer.folder}: indices are out of range; delete this folder and run precompute again")
-    values = values.reshape(len(indices), *values.shape[-2:])
-    return sparse_rows(jnp.asarray(indices), jnp.asarray(values), 6 * settings.resolution**2)
+        raise InputError(f"{folder}: indices are out of range; delete this folder and run precompute again")
+    g, m, k, c, n = values.shape
+    held = padded_receivers(g * m) * k
+    return sparse_rows(indices.reshape(-1, n), values.reshape(-1, c, n), 6 * settings.resolution**2, held)

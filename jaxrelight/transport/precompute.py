@@ -2,10 +2,13 @@
 
 import collections
 import concurrent.futures
+import contextlib
 import dataclasses
+import functools
 import importlib.metadata
 import os
 import pathlib
+import random
 import time
 from collections.abc import Callable
 
@@ -17,7 +20,7 @@ from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import Factored, factor
+from jaxrelight.brdf.factors import COSINE, Factored, factor
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
@@ -26,6 +29,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.sparse_rows import smallest_index_type
 from jaxrelight.scene import Scene
 from jaxrelight.transport import bake
@@ -33,7 +37,7 @@ from jaxrelight.transport.load import fixed_view, frames_of, read_factors, recei
 from jaxrelight.transport.settings import Settings
 from jaxrelight.transport.visibility import trace_visibility
 
-# Told the stage, how many groups are done and how many there are.
+# Told the stage, how many receivers are done and how many there are.
 Report = Callable[[str, int, int], None]
 
 
@@ -47,6 +51,7 @@ class Summary:
         rays: traced in this run.
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
+        header: what the store's header says of this scene; another process may write another one meanwhile.
         notes: what the settings cost that one might not expect, one line each.
     """
 
@@ -55,6 +60,7 @@ class Summary:
     rays: int
     receivers: int
     nbytes: dict[str, int]
+    header: dict
     notes: tuple[str, ...] = ()
 
 
@@ -73,7 +79,7 @@ def precompute(
         scene: what to precompute; its environment is stored as the default light.
         settings: the dials.
         folder: the store; by default one in the user's cache folder, named by the geometry.
-        report: called after every group.
+        report: called at the start and after every group.
     """
     seconds: dict[str, float] = {}
     with _timed(seconds, "geometry"):
@@ -89,7 +95,7 @@ def precompute(
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
         shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
-        geometry_key = store.key_of(shapes, surfaces.two_sided, store.FORMAT)
+        geometry_key = store.key_of(shapes, surfaces.two_sided)
         folder = pathlib.Path(folder or store.default_folder(geometry_key))
         _make_folder(folder)
         # No ray depends on texture coordinates.
@@ -107,7 +113,7 @@ def precompute(
     visibility_key = store.key_of(geometry_key, material_of_mesh, _plain(camera_key), *dials, bumps_key)
     directions = cubemap.directions(settings.resolution * settings.samples_per_side)
     with _timed(seconds, "visibility"):
-        visibility = store.Layer(
+        visibility = store.make_layer(
             folder / f"visibility-{visibility_key}",
             {"bits": ((GROUP, len(directions) // 8), np.dtype(np.uint8))},
             len(receivers.filled),
@@ -116,7 +122,6 @@ def precompute(
 
     materials = []
     with _timed(seconds, "transport"):
-        frames = frames_of(receivers)
         frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
         for number, name in enumerate(names):
             groups = receivers.groups_of(number)
@@ -138,41 +143,33 @@ def precompute(
                         visibility_key, number, record["brdf"], factors, settings.coefficients, frames_key
                     )
                     layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
-                    _bake_groups(layer, visibility, groups, frames[groups], reflection, settings, name, report)
+                    if layer.missing:
+                        frames, filled = frames_of(receivers, groups), receivers.filled[groups]
+                        _bake_groups(layer, visibility, groups, filled, frames, reflection, settings, name, report)
                     record["transport"] = layer.folder.name
                 materials.append(record)
 
-    environment = None
-    if scene.environment is not None:
-        from jaxrelight.images import write_image
-
-        write_image(folder / "environment.exr", scene.environment.pixels)
-        environment = {"rotate_y": scene.environment.rotate_y, "scale": scene.environment.scale}
-    store.write_header(
-        folder,
-        {
-            "jaxrelight": importlib.metadata.version("jaxrelight"),
-            "scene": scene.name,
-            "settings": dataclasses.asdict(settings),
-            "geometry": geometry.folder.name,
-            "visibility": visibility.folder.name,
-            "material_of_mesh": material_of_mesh.tolist(),
-            "materials": materials,
-            "camera": _plain(dataclasses.asdict(scene.camera)),
-            "environment": environment,
-        },
-    )
-    layers = [geometry.folder, visibility.folder]
-    layers += [folder / name for record in materials for name in store.layers_of(record)]
+    header = {
+        "jaxrelight": importlib.metadata.version("jaxrelight"),
+        "scene": scene.name,
+        "settings": dataclasses.asdict(settings),
+        "geometry": geometry.folder.name,
+        "visibility": visibility.folder.name,
+        "material_of_mesh": material_of_mesh.tolist(),
+        "materials": materials,
+        "camera": _plain(dataclasses.asdict(scene.camera)),
+        "environment": _write_environment(folder, scene.environment),
+    }
+    store.write_header(folder, header)
     nbytes = collections.Counter()
-    for layer in set(layers):
-        nbytes[layer.name.split("-")[0]] += store.open_layer(layer).nbytes
+    for name in set(store.layers_of(header)):
+        nbytes[name.split("-")[0]] += store.bytes_on_disk(folder / name)
     notes = []
     if any(bumps) and settings.receivers == "vertices":
         notes.append(
             "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
         )
-    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), tuple(notes))
+    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, tuple(notes))
 
 
 class _timed:  # noqa: N801 - reads as a verb
@@ -200,22 +197,36 @@ def _make_folder(folder: pathlib.Path):
         raise InputError(f"{folder}: cannot be used as a store: {error.strerror}") from None
 
 
-def _write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
-    arrays = {
-        "vertices": surfaces.vertices,
-        "normals": surfaces.normals,
-        "faces": surfaces.faces,
-        "uv": surfaces.uv,
-        "mesh_of_vertex": surfaces.mesh_of_vertex,
-        "two_sided": surfaces.two_sided,
-        "uv_tangents": surfaces.uv_tangents,
-        "placement": np.array([*surfaces.centre, surfaces.radius]),
-    }
-    layer = store.Layer(folder, {name: (a.shape, a.dtype) for name, a in arrays.items()}, 1)
+def _write_once(folder: pathlib.Path, arrays: dict[str, np.ndarray]) -> store.Layer:
+    """A layer of a single group, if it is not there yet."""
+    layer = store.make_layer(folder, {name: (a.shape, a.dtype) for name, a in arrays.items()}, 1)
     if layer.missing:
         layer.write(0, **arrays)
-        layer.finish()
     return layer
+
+
+def _write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
+    return _write_once(
+        folder,
+        {
+            "vertices": surfaces.vertices,
+            "normals": surfaces.normals,
+            "faces": surfaces.faces,
+            "uv": surfaces.uv,
+            "mesh_of_vertex": surfaces.mesh_of_vertex,
+            "two_sided": surfaces.two_sided,
+            "uv_tangents": surfaces.uv_tangents,
+            "placement": np.array([*surfaces.centre, surfaces.radius]),
+        },
+    )
+
+
+def _write_environment(folder: pathlib.Path, environment: Environment | None) -> dict | None:
+    """The scene's own light: its layer, and how it is placed."""
+    if environment is None:
+        return None
+    layer = _write_once(folder / f"environment-{store.key_of(environment.pixels)}", {"pixels": environment.pixels})
+    return {"pixels": layer.folder.name, "rotate_y": environment.rotate_y, "scale": environment.scale}
 
 
 def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
@@ -223,28 +234,20 @@ def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
     if texture.is_constant:
         return np.asarray(texture.pixels[0, 0]).tolist()
     pixels = np.asarray(texture.pixels)
-    layer = store.Layer(folder / f"texture-{store.key_of(pixels)}", {"pixels": (pixels.shape, pixels.dtype)}, 1)
-    if layer.missing:
-        layer.write(0, pixels=pixels)
-        layer.finish()
-    return layer.folder.name
+    return _write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
 
 
 def _factors(folder: pathlib.Path, brdf: Brdf, terms: int, settings: Settings) -> tuple[Factored | None, str | None]:
     """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant."""
     if settings.receivers == "pixels" and not brdf.is_constant:
         return None, None
-    key = store.key_of(to_record(brdf), terms, settings.factor_resolution)
+    key = store.key_of(to_record(brdf), terms, settings.factor_resolution, *COSINE)
     path = folder / f"factors-{key}"
-    if path.exists():
-        layer = store.open_layer(path)
-        if not layer.missing:
-            return read_factors(layer), path.name
+    with contextlib.suppress(InputError):
+        return read_factors(store.open_layer(path)), path.name
+    # Missing or damaged.
     factors = factor(brdf, terms, settings.factor_resolution)
-    arrays = {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)}
-    layer = store.Layer(path, {name: (a.shape, a.dtype) for name, a in arrays.items()}, 1)
-    layer.write(0, **arrays)
-    layer.finish()
+    _write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
     return factors, path.name
 
 
@@ -252,7 +255,7 @@ def _transport_layer(folder: pathlib.Path, reflection: Reflection, settings: Set
     k, c, n = reflection.terms, reflection.channels, int(settings.coefficients)
     index = smallest_index_type(6 * settings.resolution**2)
     real = np.dtype(np.float32)
-    return store.Layer(
+    return store.make_layer(
         folder,
         {
             "indices": ((GROUP, k, n), index),
@@ -264,14 +267,30 @@ def _transport_layer(folder: pathlib.Path, reflection: Reflection, settings: Set
     )
 
 
-def _in_threads(function, items, done: Callable[[], None]):
-    """Runs function(item) for all items on all cores, a few ahead; stops at the first error."""
+def _complete(layer: store.Layer, filled: np.ndarray, make: Callable[[int], None], report: Callable[[int, int], None]):
+    """Runs make(group), which writes it, for all missing groups of a layer, on all cores; stops at the first error.
+
+    `filled` counts the receivers of each group.
+    """
+
+    def tell():
+        report(int(filled[list(layer.done)].sum()), int(filled.sum()))
+
+    tell()
+    missing = layer.missing
+    # Another process may be at the same layer: in another order, so that they share the work.
+    random.Random(os.getpid()).shuffle(missing)
+
+    def make_if_missing(group: int):
+        if not layer.has(group):
+            make(group)
+
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(function, item) for item in items]
+        futures = [pool.submit(make_if_missing, group) for group in missing]
         try:
             for future in concurrent.futures.as_completed(futures):
                 future.result()
-                done()
+                tell()
         finally:
             for future in futures:
                 future.cancel()
@@ -286,13 +305,11 @@ def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, dire
         layer.write(group, bits=bits)
         rays.append(count)
 
-    report("visibility", len(layer.done), layer.groups)
-    _in_threads(trace, layer.missing, lambda: report("visibility", len(layer.done), layer.groups))
-    layer.finish()
+    _complete(layer, receivers.filled, trace, functools.partial(report, "visibility"))
     return sum(rays)
 
 
-def _bake_groups(layer, visibility, groups, frames, reflection, settings: Settings, name: str, report: Report):
+def _bake_groups(layer, visibility, groups, filled, frames, reflection, settings: Settings, name: str, report: Report):
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     basis = HaarFaces(settings.resolution)
     index = smallest_index_type(6 * settings.resolution**2)
@@ -310,7 +327,4 @@ def _bake_groups(layer, visibility, groups, frames, reflection, settings: Settin
             total=np.asarray(kept.total),
         )
 
-    stage = f"transport of {name}"
-    report(stage, len(layer.done), layer.groups)
-    _in_threads(make, layer.missing, lambda: report(stage, len(layer.done), layer.groups))
-    layer.finish()
+    _complete(layer, filled, make, functools.partial(report, f"transport of {name}"))

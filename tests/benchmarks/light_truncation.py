@@ -79,7 +79,6 @@ def rows(transport) -> tuple[np.ndarray, np.ndarray]:
     from jaxrelight.transport.load import frames_of
 
     directions = bake.directions_for(transport.settings.resolution)
-    frames = frames_of(transport.receivers)
     generator = np.random.default_rng(SEED)
     whole, kept = [], []
     for block, operator in zip(transport.blocks, transport.operator.operators, strict=True):
@@ -87,7 +86,8 @@ def rows(transport) -> tuple[np.ndarray, np.ndarray]:
         for i in generator.choice(len(block.groups), GROUPS // len(transport.blocks), replace=False):
             group = int(block.groups[i])
             bits = transport.visibility.read("bits", group)
-            whole.append(bake.bake_rows(bits, frames[group], block.reflection, directions, transport.basis)[:, 0, 0])
+            frames = frames_of(transport.receivers, block.groups[[i]])[0]
+            whole.append(bake.bake_rows(bits, frames, block.reflection, directions, transport.basis)[:, 0, 0])
             kept.append(operator.rows(np.arange(i * per_group, (i + 1) * per_group))[:, 0])
     return np.concatenate(whole), np.concatenate(kept)
 

@@ -211,7 +211,7 @@ def machine_name() -> str:
     """Processor, cores, date and versions."""
     info = pathlib.Path("/proc/cpuinfo")
     found = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
-    packages = "jaxrelight", "jax", "numpy", "scipy", "PyWavelets", "embreex", "zarr"
+    packages = "jaxrelight", "jax", "numpy", "scipy", "PyWavelets", "embreex", "zstandard"
     versions = ", ".join(f"{name} {_version(name)}" for name in packages)
     today = datetime.datetime.now(datetime.UTC).date()
     cpu = found[1].strip() if found else platform.processor() or platform.machine()

@@ -53,7 +53,7 @@ def factorings(brdf) -> dict:
     from jaxrelight.brdf.parametrisation import POLAR
 
     ways = {f"K = {k}": factor(brdf, k) for k in TERMS}
-    for powers in ((1, 0), (0, 0.5), (0.5, 0.5), (1, 1)):
+    for powers in ((0, 0), (1, 0), (0.5, 0.5), (1, 1)):
         ways[f"K = 4, cosines to {powers[0]}, {powers[1]}"] = factor(brdf, 4, cosine=powers)
     ways["K = 1, polar"] = factor(brdf, 1, parametrisation=POLAR)
     ways["K = 1, normalised"] = factor(brdf, 1, form="normalised")

@@ -11,6 +11,8 @@ from tests.benchmarks.measuring import Report, percent, shared
 
 SCENE, MATERIAL = "bunny_phong", "object"
 TERMS = 1, 2, 4, 8, 16, 32, 64, 96
+# The K that has a target.
+AT = 64
 # Receivers baked at a time; more change nothing but the memory taken.
 GROUP = 128
 
@@ -203,9 +205,22 @@ def measure(report: Report, subset: Subset, resolution: int, sides: list[int]) -
         )
         heads = ["K", "(b) error", "(b) to (a)", "(c) error", "(c) to (a)", "(c) error less (a)'s"]
         report.table(heads, rows)
+        spread = _redrawn(error, exact, corner[AT], subset)
+        report.text(f"(c) less (a) at K = {AT}, had other pixels been drawn (bootstrap): {spread}.")
         curves[f"pixels, factors {side}"] = [error(points[k]).trimmed for k in TERMS]
         curves[f"vertices, factors {side}"] = [error(corner[k]).trimmed for k in TERMS]
     return curves
+
+
+def _redrawn(error, exact, found, subset: Subset, draws: int = 200) -> str:
+    """Mean and standard deviation of the difference of two trimmed errors over pixels drawn with repetition."""
+    rng = np.random.default_rng(0)
+    apart = []
+    for _ in range(draws):
+        chosen = rng.integers(0, len(exact), len(exact))
+        reference = subset.reference[chosen]
+        apart.append(error(found[chosen], reference).trimmed - error(exact[chosen], reference).trimmed)
+    return f"{percent(float(np.mean(apart)))} ± {percent(float(np.std(apart)))}"
 
 
 def _both(error) -> str:

@@ -11,7 +11,7 @@ import pytest
 from jaxrelight.brdf import factors as module
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import Factored, Symmetric, factor
+from jaxrelight.brdf.factors import COSINE, Factored, Symmetric, factor
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.errors import InputError
@@ -78,7 +78,7 @@ def test_the_error_is_that_of_the_best_approximation():
     sigma = np.stack([np.linalg.svd(matrix[..., c], compute_uv=False) for c in range(3)])
     errors = []
     for terms in (1, 2, 4, 9):
-        factors = factor(GLOSSY, terms, SIDE)
+        factors = factor(GLOSSY, terms, SIDE, cosine=(0, 0))
         assert factors.terms == terms
         assert factors.channels == 3
         error = np.sum((product(factors, disc(SIDE)[0]) - matrix) ** 2, axis=(0, 1))
@@ -230,6 +230,13 @@ def test_the_weighted_error_is_the_least_there_is(form, parametrisation, cosine)
     assert (np.diff(errors, axis=0) < 0).all()
 
 
+def test_by_default_some_of_the_cosine_is_folded_in_and_light_and_view_are_alike():
+    assert COSINE[0] == COSINE[1]
+    given = factor(ANISOTROPIC, 3, SIDE, cosine=COSINE)
+    np.testing.assert_array_equal(given.light_maps, factor(ANISOTROPIC, 3, SIDE).light_maps)
+    assert np.abs(given.light_maps - factor(ANISOTROPIC, 3, SIDE, cosine=(0, 0)).light_maps).max() > 0.1
+
+
 def test_folding_the_cosine_in_lowers_the_error_that_it_weighs():
     omega, _ = disc(SIDE)
     exact, cosine = sampled(ANISOTROPIC, SIDE), omega[:, 2]
@@ -292,7 +299,7 @@ def test_the_symmetric_form_refuses_what_is_not_symmetric():
 @PARAMETRISATIONS
 def test_the_normalised_form_is_never_negative_and_keeps_the_reflectance(parametrisation):
     """Its light map is the mean of f over views weighted by their cosine: the reflectance from ω_i, over π."""
-    factors = factor(ANISOTROPIC, 1, SIDE, form="normalised", parametrisation=parametrisation)
+    factors = factor(ANISOTROPIC, 1, SIDE, form="normalised", parametrisation=parametrisation, cosine=(0, 0))
     assert isinstance(factors, Factored)
     assert np.asarray(factors.light_maps).min() >= 0
     assert np.asarray(factors.view_maps).min() >= 0

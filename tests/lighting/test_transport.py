@@ -10,6 +10,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Part, Relighter, Scene, Settings
 from jaxrelight.geometry import mesh as meshes
+from jaxrelight.transport.load import padded_receivers
 
 SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
 
@@ -93,7 +94,10 @@ def test_light_and_shade_make_the_picture(relighter: Relighter):
     environment, view = jr.environment(SKY, rotate_y=40, scale=2), relighter.view()
     terms = relighter.light(environment)
     for part, block in zip(terms, relighter.transport.blocks, strict=True):
-        assert part.shape == (128 * len(block.groups), block.reflection.terms, 3)
+        count = 128 * len(block.groups)
+        assert part.shape == (padded_receivers(count), block.reflection.terms, 3)
+        assert part[:count].any()
+        assert not part[count:].any()
     vector = relighter.light_vector(jnp.asarray(SKY), 40.0, 2.0)
     for found, wanted in zip(terms, relighter.terms(vector), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)

@@ -8,7 +8,6 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import InputError, Part, Relighter, Scene, Settings
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.lighting.view import _bucket
 
 SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(4, 8, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=14, height=12)
@@ -149,13 +148,3 @@ def test_back_of_a_surface_is_black(free: Relighter):
     image = free.image(SKY, view)
     assert not image[..., :3].any()
     assert (image[..., 3] == 1).all()
-
-
-def test_lengths_are_few_and_little_is_padding():
-    assert _bucket(0) == _bucket(1) == _bucket(1024) == 1024
-    counts = np.arange(1024, 300_000, 37)
-    lengths = np.array([_bucket(int(count)) for count in counts])
-    assert (lengths >= counts).all()
-    assert (lengths <= 1.25 * counts + 1).all()
-    assert len(set(lengths)) <= 36
-    assert (np.diff(lengths) >= 0).all()

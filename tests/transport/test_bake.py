@@ -14,6 +14,7 @@ from jaxrelight.basis.cubemap import Texels
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factors import Factored, factor
 from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.parametrisation import POLAR
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.transport import bake
@@ -80,6 +81,21 @@ def test_rows_are_the_formula(name, m):
     assert rows.shape == (m, reflection.terms, reflection.channels, D)
     assert rows.dtype == np.float32
     assert relative(rows, rows_by_formula(bits, frames, reflection)) < 1e-5
+
+
+@pytest.mark.parametrize("choice", [{"form": "symmetric"}, {"parametrisation": POLAR}, {"form": "normalised"}])
+def test_every_form_of_factors_is_baked_and_viewed_alike(choice):
+    """Radiance is the sum over texels of the factored BRDF itself."""
+    bits, frames = bits_for(8), frames_for(8)
+    terms = 1 if choice.get("form") == "normalised" else 3
+    reflection = factor(GLOSSY, terms, 12, **choice)
+    light = jnp.asarray(np.random.default_rng(0).uniform(size=(D, 3)), jnp.float32)
+    omega_o = jnp.asarray(views_for(8), jnp.float32)
+    product = bake.bake_and_apply(bits, frames, reflection, directions_for(N), light)
+    radiance = jnp.sum(product * jax.vmap(reflection.view_side)(omega_o), axis=1)
+    view = np.asarray(jax.vmap(reflection.view_side)(omega_o), float)
+    expected = np.einsum("mkcd,dc,mkc->mc", rows_by_formula(bits, frames, reflection), light, view)
+    assert relative(radiance, expected) < 1e-5
 
 
 def test_rows_in_haar_coefficients_are_the_rows_encoded():

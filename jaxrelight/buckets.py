@@ -1,0 +1,13 @@
+"""Array lengths rounded up to one of few, so that another mesh of about the same size compiles nothing new."""
+
+
+def bucket(count: int, least: int) -> int:
+    """The next length of the form least·2^e·(8 … 15)/8: at most an eighth of it is padding, above `least`.
+
+    `least` is a multiple of 8.
+    """
+    size = least
+    while size < count:
+        steps = (size * step // 8 for step in range(9, 17))
+        size = next((step for step in steps if step >= count), size * 2)
+    return size

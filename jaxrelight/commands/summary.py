@@ -1,0 +1,77 @@
+"""What a command says at its end, in words or, with --json, as one JSON object on one line of standard output.
+
+Keys stay what they are from version to version; new ones may come. Numbers are in the unit that the key names, without
+rounding. A command that fails prints nothing on standard output: one line on standard error says why, with or without
+--json, and the exit status is 1 (2 for a wrong command line, 130 when it was interrupted).
+
+    command          render, precompute, relight, demo, info
+    versions         of jaxrelight, jax and embreex
+    store            folder
+    settings         the dials it was precomputed with, by the names of the options
+    receivers        vertices, or pixels that see a surface
+    rays             traced by this run; 0 if all was there
+    seconds          by stage, in the order they came: geometry, visibility, transport; open, environment, view,
+                     light_first (with compilation), light, shade, write; load (the scene), total
+    bytes            on disk, by kind of layer
+    operator_bytes   in memory
+    kept_energy      share of transport energy that the kept coefficients hold, 0 … 1
+
+A picture (render, relight; demo: picture alone):
+
+    picture          file
+    width, height    pixels
+    covered          share of pixels that see a surface, 0 … 1
+    mean_radiance    of those, all channels
+
+demo: milliseconds {change_of_view, change_of_light, shading}; error {coefficients, without_worst_5_percent}: relative
+L2 against all coefficients.
+
+info says `kind` first. A store: scene, rows (of the operator), materials {name: terms}, unused_layers (names; may be
+deleted), largest_error_for_unit_light (of any row, under light of root-mean-square radiance 1). A scene: scene (file),
+meshes {number:name: {vertices, faces, material}}, vertices, materials {name: diffuse or glossy}, camera {width, height,
+fov_y}, environment {width, height} or null. An image: image (file), width, height, channels, largest and mean (of the
+finite pixels; mean by channel), negative_pixels, not_finite_pixels.
+"""
+
+import json
+
+
+def summarize(summary: dict, as_json: bool) -> None:
+    """Prints a summary: one JSON object, or a line for each entry."""
+    if as_json:
+        print(json.dumps(summary), flush=True)
+        return
+    for name, value in summary.items():
+        if name not in ("command", "kind"):
+            print(f"{name.replace('_', ' '):>16}  {_words(name, value)}", flush=True)
+
+
+def versions() -> dict[str, str]:
+    """Of this package and of those that its numbers depend on."""
+    import importlib.metadata
+
+    return {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")}
+
+
+def _words(name: str, value) -> str:
+    """A value as people read it: the name tells its unit."""
+    if isinstance(value, dict):
+        entries = (f"{key.replace('_', ' ')} {_words(name, entry)}" for key, entry in value.items())
+        return ", ".join(entries) or "none"
+    if isinstance(value, list):
+        return ", ".join(_words(name, entry) for entry in value) or "none"
+    if value is None:
+        return "none"
+    if isinstance(value, str):
+        return value
+    if name == "seconds":
+        return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
+    if name == "milliseconds":
+        return f"{value:.3g} ms"
+    if name.endswith("bytes"):
+        return f"{value / 1e6:,.1f} MB" if value >= 1e5 else f"{value / 1e3:,.1f} kB"
+    if name in ("kept_energy", "covered", "error"):
+        return f"{100 * value:.4g} %"
+    if name == "rays" and value >= 1e6:
+        return f"{value / 1e6:,.1f} million"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
