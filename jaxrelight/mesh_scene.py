@@ -1,5 +1,6 @@
 """A scene around a mesh file that comes alone: a floor, a camera, a sky, and the file's own materials."""
 
+import dataclasses
 import pathlib
 
 import numpy as np
@@ -10,12 +11,16 @@ from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry import primitives
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh_files import READERS
+from jaxrelight.geometry.surfaces import join
+from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.scene import Part, Scene, file_parts, load_scene
 
 # Camera and floor for a mesh whose longest side is 1; the eye looks from the front, a little from the right and above.
 _EYE = np.array([0.42, 0.38, 1.0])
 _FOV_Y = 34.0
 _MARGIN = 1.15
+# A few backs are seen through small holes; more are walls that face inwards, or cards.
+_MOST_BEHIND = 0.02
 _FLOOR, _FLOOR_QUADS = 5.0, 96
 
 
@@ -45,8 +50,12 @@ def scene_of_mesh(path: str | pathlib.Path) -> Scene:
     plain = {part.name: "plaster" for part in scaled if part.material is None}
     parts, materials, notes = file_parts(path.name, scaled, plain)
     materials |= {"floor": lobes.lambert([0.46, 0.45, 0.43]), "plaster": lobes.lambert([0.70, 0.62, 0.52])}
-    parts.append(Part(primitives.plane((_FLOOR, _FLOOR), _FLOOR_QUADS), "floor", "floor"))
     camera = _framing(np.concatenate([part.mesh.vertices for part in scaled]))
+    behind = _seen_from_behind([part.mesh for part in parts], camera)
+    if behind > _MOST_BEHIND:
+        parts = [dataclasses.replace(part, mesh=meshes.with_back(part.mesh)) for part in parts]
+        notes.append(f"{path.name}: {behind:.0%} of what is seen are backs of faces; taken as two-sided")
+    parts.append(Part(primitives.plane((_FLOOR, _FLOOR), _FLOOR_QUADS), "floor", "floor"))
     assumed = [
         f"{path.name}: scaled to a longest side of 1 m and put on a floor, seen from the front (+z) by a camera "
         "that frames it, under a built-in sky; --env, --origin, --target and a scene file give others"
@@ -54,6 +63,16 @@ def scene_of_mesh(path: str | pathlib.Path) -> Scene:
     if plain:
         assumed.append(f"{path.name}: nothing is said about the material of {', '.join(plain)}; plaster is taken")
     return Scene(tuple(parts), materials, camera, evening_sky(), path.stem, assumptions=(*assumed, *notes))
+
+
+def _seen_from_behind(seen: list[meshes.Mesh], camera: Camera) -> float:
+    """The share of what a camera sees that are backs of faces."""
+    surfaces = join(seen)
+    rays = dataclasses.replace(camera, width=96, height=96).directions().reshape(-1, 3)
+    face, _ = Tracer(surfaces).first_hits(np.broadcast_to(surfaces.to_scene(np.array(camera.origin)), rays.shape), rays)
+    hit = face >= 0
+    back = np.sum(surfaces.face_normals(face[hit]) * rays[hit], axis=1) > 0
+    return float(back.mean()) if hit.any() else 0.0
 
 
 def _framing(vertices: np.ndarray) -> Camera:

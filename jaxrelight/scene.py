@@ -84,7 +84,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     environment = (
         _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
     )
-    named = root.table("material")
+    named = root.table("material", {})  # mesh files may bring all that is needed
     tables = {name: named.table(name) for name in named.names()}
     terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
     materials: dict[str, Brdf | Material] = {}
@@ -134,8 +134,8 @@ class _Table:
         fault = f"'{close[0]}' is not known; did you mean '{key}'?" if close else f"'{key}' is missing"
         raise InputError(f"{self.where}: {fault}")
 
-    def table(self, key: str) -> "_Table":
-        return _Table(self.get(key), f"{self.where}: [{key}]")
+    def table(self, key: str, *default) -> "_Table":
+        return _Table(self.get(key, *default), f"{self.where}: [{key}]")
 
     def tables(self, key: str) -> list["_Table"]:
         entries = self.get(key, [])
@@ -308,9 +308,7 @@ def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.Mesh
         mesh = mesh if max_edge is None else subdivided(mesh, max_edge)
         mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv")
         if two_sided is not None:
-            mesh = dataclasses.replace(mesh, two_sided=two_sided)
-        if mesh.two_sided:
-            mesh = dataclasses.replace(mesh, notes=tuple(n for n in mesh.notes if "faces inward" not in n))
+            mesh = meshes.with_back(mesh) if two_sided else dataclasses.replace(mesh, two_sided=False)
         placed.append(dataclasses.replace(part, mesh=mesh))
     return placed
 

@@ -64,3 +64,13 @@ def test_faults_are_those_of_the_file(tmp_path):
         open_scene(written(tmp_path, "a.ply", b"x"))
     with pytest.raises(InputError, match="cannot be read as a scene"):
         open_scene(tmp_path / "a.toml")
+
+
+def test_rooms_seen_from_outside_are_two_sided(tmp_path):
+    faces = FILES["plain.obj"].decode().splitlines()
+    inward = [" ".join(["f", *reversed(line.split()[1:])]) if line.startswith("f") else line for line in faces]
+    scene = scene_of_mesh(written(tmp_path, "room.obj", "\n".join([*inward, ""])))
+    assert scene.parts[0].mesh.two_sided
+    assert any("100% of what is seen are backs of faces; taken as two-sided" in note for note in scene.notes)
+    outward = scene_of_mesh(written(tmp_path, "ball.obj", FILES["plain.obj"]))
+    assert not outward.parts[0].mesh.two_sided

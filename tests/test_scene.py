@@ -452,7 +452,7 @@ def test_a_misspelt_required_key_is_found_wherever_it_stands(tmp_path):
     assert "'orign'" in _fault(tmp_path, "[camera]\ntarget = [0, 0, 0]\nup = [0, 1, 0]\norign = [0, 1, 2]\n")
     part = '[[mesh]]\nprimitive = "box"\nmaterail = "paper"\n'
     assert "materail" in _fault(tmp_path, _CAMERA + _PAPER + part)
-    assert "'material' is missing" in _fault(tmp_path, _CAMERA + part)
+    assert "there is no [material.paper]" in _fault(tmp_path, _CAMERA + part.replace("materail", "material"))
 
 
 @pytest.mark.parametrize(
@@ -572,6 +572,12 @@ def test_a_files_own_materials_and_those_that_override_them(folder):
     np.testing.assert_allclose(_values(scene.materials["two.obj:wood"]), _values(phong(0.5, 0.5, 9)), rtol=1e-6)
     assert "none.png: no such file" in scene.notes[0]
     assert "diffuse and specular add up to 2, scaled down to 1" in scene.notes[1]
+
+
+def test_a_scene_needs_no_materials_of_its_own(folder):
+    (folder / "two.obj").write_text(TWO)
+    text = "[camera]\norigin = [0, 1, 3]\ntarget = [0, 0, 0]\n[[mesh]]\nfile = 'two.obj'\n"
+    assert set(load_scene(_write(folder, text)).materials) == {"two.obj:wood", "two.obj:steel"}
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.file_materials import FileMaterial
 from jaxrelight.geometry.mesh_files import READERS
 from jaxrelight.geometry.raw_mesh import RawMesh
-from jaxrelight.geometry.repair import LARGEST_COORDINATE, Repaired, area_vectors, repaired, unit
+from jaxrelight.geometry.repair import FACES_INWARD, LARGEST_COORDINATE, Repaired, area_vectors, repaired, unit
 
 _UNREAD = "string or file could not be read to its end"  # numpy warns so, then returns what it had
 _FARTHEST_UV = 1e6  # beyond, float32 does not tell texels apart
@@ -103,7 +103,7 @@ def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
             good.vertices[mine], place[good.faces[part_of_face == number]], good.normals[mine], tuple(notes), uv
         )
         two_sided = part.material is not None and part.material.two_sided
-        found.append(MeshPart(dataclasses.replace(mesh, two_sided=two_sided), part.name, part.material))
+        found.append(MeshPart(with_back(mesh) if two_sided else mesh, part.name, part.material))
     return found
 
 
@@ -152,6 +152,11 @@ def bounds(mesh: Mesh) -> Float[np.ndarray, "2 3"]:
 def face_normals(mesh: Mesh) -> Float[np.ndarray, "f 3"]:
     """Unit normals towards the side from which faces are counter-clockwise; +y for a face without area."""
     return unit(area_vectors(mesh.vertices[mesh.faces]), np.array([0.0, 1.0, 0.0]))
+
+
+def with_back(mesh: Mesh) -> Mesh:
+    """The mesh as a two-sided one, of which it does not matter whether it faces inward."""
+    return dataclasses.replace(mesh, two_sided=True, notes=tuple(n for n in mesh.notes if n != FACES_INWARD))
 
 
 def joint_bounds(meshes: Sequence[Mesh]) -> Float[np.ndarray, "2 3"]:

@@ -11,6 +11,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.raw_mesh import RawMesh
 
 LARGEST_COORDINATE = 1e30  # float32 ends at 3e38, and areas square what they are given
+FACES_INWARD = "closed mesh faces inward: surfaces are one-sided, so it will look black"
 FLAT = 1e-12  # a triangle lower than this part of its longest side is no surface
 ROUNDING = 1e-15  # nor is one lower than what float64 resolves at its place
 
@@ -84,7 +85,7 @@ def repaired(raw: RawMesh) -> Repaired:
     if (missing & raw.stated[source]).any():
         notes.append(f"normals computed for {(missing & raw.stated[source]).sum():,} vertices: the file's are unusable")
     if _faces_inward(vertices, _unique_rows(vertices)[1][faces], faces):
-        notes.append("closed mesh faces inward: surfaces are one-sided, so it will look black")
+        notes.append(FACES_INWARD)
     first, welded = _unique_rows(np.column_stack([vertices, raw.part[source]]))
     computed = _angle_weighted(vertices[first], welded[faces])[welded]
     normals = np.where(missing[:, None], computed, given)

@@ -422,6 +422,19 @@ def test_info_on_a_scene(folder, run):
     assert summary["environment"] == {"width": 16, "height": 8}
 
 
+def test_a_mesh_alone(folder, run):
+    """Precomputed, rendered under a sky that is named or not, and told of; what was assumed is told too."""
+    pathlib.Path("thing.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    told = _summary(run("info", "thing.obj", "--json"))["meshes"]["0:thing.obj"]
+    assert told == {"vertices": 4, "faces": 4, "material": "plaster"}
+    size = ("--width", "12", "--height", "10", "--resolution", "4")
+    result = run("render", "thing.obj", "-o", "own.exr", *size, "--json")
+    assert 0.2 < _summary(result)["covered"] < 1
+    assert "under a built-in sky" in result[2]
+    _summary(run("render", "thing.obj", "-o", "other.exr", "--env", "sky.exr", *size, "--json"))
+    assert not np.array_equal(read_image("own.exr"), read_image("other.exr"))
+
+
 def test_info_on_an_image(folder, run):
     pixels = np.full((4, 6, 3), 0.5)
     pixels[0, 0] = np.nan
