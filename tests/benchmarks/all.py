@@ -21,6 +21,7 @@ def main():
             "kernels": [] if quick else ["--store", str(store)],
             "reference_images": [],
             "terms_curve": [],
+            "factor_error": [],
         }
         failed = [name for name, options in programs.items() if not _succeeds(name, options, quick)]
     if failed:
