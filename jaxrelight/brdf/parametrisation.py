@@ -54,12 +54,15 @@ class Disc(Parametrisation):
     """x = (ω·s + 1)/2, y = (ω·t + 1)/2 (eq. 10): equal areas are equal projected solid angles."""
 
     def directions(self, side: int) -> tuple[Float[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
-        """Of every texel; those in the corners have the direction at the disc's edge before them."""
+        """Of every texel; those in the corners have the direction a twentieth of a texel within the edge before them.
+
+        At the edge itself some BRDFs are without bound, and between it and the outermost texels others have roots.
+        """
         centre = (np.arange(side) + 0.5) * (2 / side) - 1
         x, y = (grid.ravel() for grid in np.meshgrid(centre, centre))
         radius = np.hypot(x, y)
         inside = radius < 1
-        shrink = np.where(inside, 1, (1 - 1e-6) / np.maximum(radius, 1))
+        shrink = np.where(inside, 1, (1 - 0.1 / side) / np.maximum(radius, 1))
         x, y = x * shrink, y * shrink
         return np.stack([x, y, np.sqrt(np.maximum(0, 1 - x * x - y * y))], axis=-1), inside
 

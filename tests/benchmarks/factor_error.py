@@ -39,7 +39,8 @@ def main():
     pairs = Pairs(arguments.pairs, arguments.seed)
     parameters = (
         f"{arguments.pairs:,} pairs of directions, each uniform over the hemisphere, seed {arguments.seed}; root of "
-        "the mean of cosθ_i · (f̂ − f)², over that of cosθ_i · f²"
+        "the mean of cosθ_i · (f̂ − f)², over that of cosθ_i · f², as in Figure 5; behind the stroke with "
+        "cos²θ_i cosθ_o instead: the error of pictures of a sphere without shadow under single distant lights"
     )
     with Report("factor_error", "Factors against their BRDFs", parameters, write) as report:
         errors = {
@@ -87,6 +88,7 @@ class Pairs:
         self.omega_i, self.omega_o = omega
         self.figure = omega[0, :, 2]
         self.picture = omega[0, :, 2] ** 2 * omega[1, :, 2]
+        self.weights = self.figure, self.picture
 
     def exact(self, brdf) -> np.ndarray:
         """Values [p, c]."""
@@ -150,7 +152,7 @@ def _corners(*arguments):
 
 
 def by_resolution(report: Report, name: str, brdf, pairs: Pairs, sides: list[int]) -> np.ndarray:
-    """Errors [side, K, …, all terms] of the paper's form, as a table."""
+    """Errors [weight, side, K, …, all terms] of the paper's form, as a table."""
     from jaxrelight import factor
 
     exact = pairs.exact(brdf)
@@ -159,35 +161,42 @@ def by_resolution(report: Report, name: str, brdf, pairs: Pairs, sides: list[int
         start = time.perf_counter()
         factors = factor(brdf, max(TERMS), side, cosine=(0.0, 0.0))
         seconds = time.perf_counter() - start
-        every = [pairs.error(found, exact, pairs.figure) for found in pairs.first_terms(factors)]
-        errors.append([*every, pairs.error(pairs.interpolated(brdf, side), exact, pairs.figure)])
-        rows.append(
-            [f"{side}²", *(percent(errors[-1][k - 1]) for k in SHOWN), percent(errors[-1][-1]), f"{seconds:.1f} s"]
-        )
-    report.text(f"**{name}**, disc, singular values, the cosine left out.")
+        found = [*pairs.first_terms(factors), pairs.interpolated(brdf, side)]
+        errors.append([[pairs.error(one, exact, weight) for one in found] for weight in pairs.weights])
+        cells = [_both(errors[-1][0][k], errors[-1][1][k]) for k in (*(k - 1 for k in SHOWN), -1)]
+        rows.append([f"{side}²", *cells, f"{seconds:.1f} s"])
+    square = np.sort(pairs.figure * np.sum(exact**2, axis=-1))
+    largest = square[-len(square) // 1000 :].sum() / square.sum()
+    report.text(
+        f"**{name}**, disc, singular values, the cosine left out. A thousandth of the pairs carries "
+        f"{percent(largest)} of the mean of cosθ_i · f²."
+    )
     report.table(["map", *(f"K = {k}" for k in SHOWN), "all terms", "factored in"], rows)
-    return np.array(errors)
+    return np.moveaxis(np.array(errors), 1, 0)
 
 
 def conclude(report: Report, errors: dict[str, np.ndarray], sides: list[int]):
     """Where the error settles."""
     rows = []
-    for name, table in errors.items():
-        settled = []
-        for column in (3, 15, -1):
-            change = np.abs(table[:, column] / table[-1, column] - 1)
-            # The first side from which on all are within the share; the finest is so by definition.
-            late = np.flatnonzero(change > SETTLED)
-            settled.append(f"{sides[late[-1] + 1 if len(late) else 0]}²")
-        at = sides.index(SIDE) if SIDE in sides else -1
-        rows.append(
-            [name, *settled, percent(table[at, 3] / table[-1, 3] - 1), percent(table[at, 15] / table[-1, 15] - 1)]
+    columns = {"K = 4": 3, "K = 16": 15, "all terms": -1}
+    at = sides.index(SIDE) if SIDE in sides else -1
+    for name, both in errors.items():
+        settled = {}
+        for column in columns.values():
+            for i, table in enumerate(both):
+                change = table[:, column] / table[-1, column] - 1
+                # The first side from which on all are within the share; the finest is so by definition.
+                late = np.flatnonzero(np.abs(change) > SETTLED)
+                settled[column, i] = f"{sides[late[-1] + 1 if len(late) else 0]}²", percent(change[at])
+        first, second = (
+            [f"{settled[column, 0][i]} / {settled[column, 1][i]}" for column in columns.values()] for i in (0, 1)
         )
+        rows.append([name, *first, *second])
     report.text(
         f"**Where the error settles**: the map from which on it stays within {100 * SETTLED:.0f} % of itself at "
-        f"{sides[-1]}², and by how much {SIDE}² differs from that."
+        f"{sides[-1]}², and by how much of itself it is larger at {sides[at]}²."
     )
-    report.table(["BRDF", "K = 4", "K = 16", "all terms", f"{SIDE}² at K = 4", f"{SIDE}² at K = 16"], rows)
+    report.table(["BRDF", *columns, *(f"{sides[at]}² at {name}" for name in columns)], rows)
 
 
 def by_form(report: Report, materials: dict, pairs: Pairs, side: int):
@@ -207,10 +216,7 @@ def by_form(report: Report, materials: dict, pairs: Pairs, side: int):
         "disc, normalised": {"form": "normalised", "cosine": (0.0, 0.0)},
         "polar, normalised": {"form": "normalised", "parametrisation": POLAR, "cosine": (0.0, 0.0)},
     }
-    report.text(
-        f"**Forms at {side}².** Errors as above, and behind the stroke with the weight cos²θ_i cosθ_o instead: that of "
-        "pictures of a sphere without shadow under single distant lights from everywhere."
-    )
+    report.text(f"**Forms at {side}².** The same errors.")
     for name, brdf in materials.items():
         exact, rows = pairs.exact(brdf), []
         for form, options in forms.items():
@@ -228,6 +234,10 @@ def by_form(report: Report, materials: dict, pairs: Pairs, side: int):
         report.table([name, *(f"K = {k}" for k in SHOWN)], rows)
 
 
+def _both(figure: float, picture: float) -> str:
+    return f"{percent(figure)} / {percent(picture)}"
+
+
 def _pyplot():
     from matplotlib import pyplot, use  # pyright: ignore[reportMissingImports]
 
@@ -236,13 +246,15 @@ def _pyplot():
 
 
 def plot(errors: dict[str, np.ndarray], sides: list[int], path: pathlib.Path):
-    """The curves of Figure 5."""
+    """The curves of Figure 5, and below them those of pictures."""
     pyplot = _pyplot()
-    figure, axes = pyplot.subplots(2, 2, figsize=(10, 7))
-    for (name, table), panel in zip(errors.items(), axes.flat, strict=True):
-        for side, row in zip(sides, table, strict=True):
-            panel.plot(TERMS, 100 * row[:-1], "o-", markersize=3, label=f"{side}²")
-        panel.set(title=name, xlabel="terms K", ylabel="relative error / %", ylim=(0, None))
+    figure, axes = pyplot.subplots(2, len(errors), figsize=(15, 7))
+    weights = "weight cosθ_i", "weight cos²θ_i cosθ_o"
+    for (name, both), column in zip(errors.items(), axes.T, strict=True):
+        for table, panel, weight in zip(both, column, weights, strict=True):
+            for side, row in zip(sides, table, strict=True):
+                panel.plot(TERMS, 100 * row[:-1], "o-", markersize=3, label=f"{side}²")
+            panel.set(title=f"{name}, {weight}", xlabel="terms K", ylabel="relative error / %", ylim=(0, None))
     axes.flat[0].legend(title="map")
     figure.tight_layout()
     figure.savefig(path, dpi=120)
