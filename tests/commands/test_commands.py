@@ -427,7 +427,7 @@ def test_a_mesh_alone(folder, run):
     pathlib.Path("thing.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     told = _summary(run("info", "thing.obj", "--json"))["meshes"]["0:thing.obj"]
     assert told == {"vertices": 4, "faces": 4, "material": "plaster"}
-    size = ("--width", "12", "--height", "10", "--resolution", "4")
+    size = ("--width", "12", "--height", "10", "--resolution", "8")
     result = run("render", "thing.obj", "-o", "own.exr", *size, "--json")
     assert 0.2 < _summary(result)["covered"] < 1
     assert "under a built-in sky" in result[2]
