@@ -50,7 +50,7 @@ class Precompute:
             made = precompute(scene, self.dials.settings(self.receivers), self.output, report)
         seconds |= made.seconds
         with timed(seconds, "open"):
-            transport = load(made.folder, made.header)
+            transport = load(made.folder, made.header, made.placed)
         seconds["total"] = time.perf_counter() - start
         summary = {"command": "precompute", **as_made(made), **describe(transport), "seconds": seconds}
         summarize(summary, self.json)

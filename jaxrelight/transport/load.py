@@ -101,12 +101,28 @@ class Transport:
         return [block.reflection for block in self.blocks]
 
 
-def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
+@dataclasses.dataclass(frozen=True)
+class Placed:
+    """The geometry of a scene, ready for rays, and its receivers.
+
+    Attributes:
+        surfaces: all meshes.
+        tracer: rays against them.
+        receivers: the points of the operator's rows.
+    """
+
+    surfaces: Surfaces
+    tracer: Tracer
+    receivers: Receivers
+
+
+def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed | None = None) -> Transport:
     """Opens a store; nothing is written.
 
     Args:
         folder: the store.
         header: of the scene that is wanted, as `precompute` gives it; by default of the last one precomputed.
+        placed: its geometry, as `precompute` gives it; by default read from the store.
 
     Raises:
         InputError: if it is not complete, damaged, or of another format.
@@ -114,7 +130,7 @@ def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
     folder = pathlib.Path(folder)
     header = header or store.read_header(folder)
     try:
-        return _load(folder, header)
+        return _load(folder, header, placed)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"{folder / 'store.json'}: damaged ({type(error).__name__}: {error}); "
@@ -122,18 +138,12 @@ def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
         ) from None
 
 
-def _load(folder: pathlib.Path, header: dict) -> Transport:
+def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transport:
     settings = Settings(**header["settings"])
-    geometry = store.open_layer(folder / header["geometry"])
-    surfaces = _read_geometry(geometry)
-    visibility = store.open_layer(folder / header["visibility"])
-    for layer in (geometry, visibility):
-        if layer.missing:
-            raise InputError(
-                f"{layer.folder}: {len(layer.missing):,} groups are missing; run precompute to complete them"
-            )
-    tracer, camera = Tracer(surfaces), Camera(**header["camera"])
-    receivers = receivers_of(surfaces, tracer, np.array(header["material_of_mesh"]), camera, settings)
+    camera = Camera(**header["camera"])
+    placed = placed or _placed(folder, header, camera, settings)
+    surfaces, receivers = placed.surfaces, placed.receivers
+    visibility = _whole_layer(folder / header["visibility"])
     if len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
@@ -150,9 +160,7 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         if settings.coefficients == "all":
             operators.append(_streamed(settings, visibility, receivers, groups, reflection))
         else:
-            layer = store.open_layer(folder / record["transport"])
-            if layer.missing:
-                raise InputError(f"{folder}: {len(layer.missing)} groups are missing; run precompute to complete them")
+            layer = _whole_layer(folder / record["transport"])
             arrays = layer.read_all()
             operators.append(_sparse_rows(layer.folder, arrays["indices"], arrays["values"], settings))
             dropped = arrays["dropped"].reshape(-1, reflection.channels)
@@ -165,7 +173,7 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
     return Transport(
         settings=settings,
         surfaces=surfaces,
-        tracer=tracer,
+        tracer=placed.tracer,
         receivers=receivers,
         blocks=tuple(blocks),
         operator=Stacked(tuple(operators)),
@@ -178,6 +186,22 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         folder=folder,
         visibility=visibility,
     )
+
+
+def _placed(folder: pathlib.Path, header: dict, camera: Camera, settings: Settings) -> Placed:
+    surfaces = _read_geometry(_whole_layer(folder / header["geometry"]))
+    tracer = Tracer(surfaces)
+    receivers = receivers_of(surfaces, tracer, np.array(header["material_of_mesh"]), camera, settings)
+    return Placed(surfaces, tracer, receivers)
+
+
+def _whole_layer(folder: pathlib.Path) -> store.Layer:
+    layer = store.open_layer(folder)
+    if layer.missing:
+        raise InputError(
+            f"{folder}: {len(layer.missing):,} of {layer.groups:,} parts are missing; run precompute to complete them"
+        )
+    return layer
 
 
 def stored_environment(transport: Transport) -> Environment | None:
@@ -299,13 +323,13 @@ _compiled = functools.cache(jax.jit)
 
 def read_factors(layer: store.Layer) -> Factored:
     """Factors from their layer."""
-    return Factored(jnp.asarray(layer.read("light_maps", 0)), jnp.asarray(layer.read("view_maps", 0)))
+    return Factored(*jax.device_put((layer.read("light_maps", 0), layer.read("view_maps", 0))))
 
 
 def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
     """A texture from its layer, or a constant one from its values."""
     if isinstance(entry, str):
-        return Texture(jnp.asarray(store.open_layer(folder / entry).read("pixels", 0)))
+        return Texture(jax.device_put(store.open_layer(folder / entry).read("pixels", 0)))
     return constant(entry)
 
 

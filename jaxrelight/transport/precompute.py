@@ -33,7 +33,7 @@ from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.sparse_rows import smallest_index_type
 from jaxrelight.scene import Scene
 from jaxrelight.transport import bake
-from jaxrelight.transport.load import fixed_view, frames_of, read_factors, receivers_of
+from jaxrelight.transport.load import Placed, fixed_view, frames_of, read_factors, receivers_of
 from jaxrelight.transport.settings import Settings
 from jaxrelight.transport.visibility import trace_visibility
 
@@ -52,6 +52,7 @@ class Summary:
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
         header: what the store's header says of this scene; another process may write another one meanwhile.
+        placed: the geometry, for `load`.
     """
 
     folder: pathlib.Path
@@ -60,6 +61,7 @@ class Summary:
     receivers: int
     nbytes: dict[str, int]
     header: dict
+    placed: Placed
 
 
 def precompute(
@@ -158,7 +160,7 @@ def precompute(
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(folder / name)
-    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header)
+    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, Placed(surfaces, tracer, receivers))
 
 
 class _timed:  # noqa: N801 - reads as a verb
