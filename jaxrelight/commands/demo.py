@@ -51,7 +51,7 @@ class Demo:
         assert sky is not None
         with progress(self.json) as report:
             made = precompute(scene, Settings(resolution=32, terms=8, coefficients=256), self.output / "store", report)
-        relighter = Relighter(load(made.folder, made.header))
+        relighter = Relighter(load(made.folder, made.header, made.placed))
 
         # Twice as many pixels along each side, averaged afterwards: smooth edges.
         cameras = [

@@ -51,7 +51,7 @@ class Precompute:
         notes(made.notes)
         seconds |= made.seconds
         with timed(seconds, "open"):
-            transport = load(made.folder, made.header)
+            transport = load(made.folder, made.header, made.placed)
         seconds["total"] = time.perf_counter() - start
         summary = {"command": "precompute", **as_made(made), **describe(transport), "seconds": seconds}
         summarize(summary, self.json)

@@ -58,7 +58,7 @@ class Render:
         seconds |= made.seconds
         with timed(seconds, "open"):
             # Of this scene, whatever another process has meanwhile made of the store.
-            transport = load(made.folder, made.header)
+            transport = load(made.folder, made.header, made.placed)
         picture = light_picture(Relighter(transport), environment, scene.camera, self.output, self.picture)
         seconds |= {**picture.pop("seconds"), "total": time.perf_counter() - start}
         summary = {"command": "render", **as_made(made), **picture, **describe(transport), "seconds": seconds}

@@ -42,11 +42,11 @@ class Relighter:
         """A relighter from a store."""
         return cls(load(folder))
 
-    def light_vector(self, pixels: Float[Array, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "d c"]:
+    def light_vector(self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "d c"]:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]
         resampling = latlong.area_resampling(height, width, self.transport.settings.resolution)
-        return _light_vector(jnp.asarray(pixels), rotate_y, scale, resampling, self.transport.basis)
+        return _light_vector(pixels, rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator.
@@ -60,7 +60,7 @@ class Relighter:
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
         pixels = coarsened(environment.pixels, self.transport.settings.resolution)
-        return self.terms(self.light_vector(jnp.asarray(pixels), environment.rotate_y, environment.scale))
+        return self.terms(self.light_vector(pixels, environment.rotate_y, environment.scale))
 
     def view(self, camera: Camera | None = None) -> View:
         """A camera's view; by default the scene's camera.
@@ -95,10 +95,8 @@ class Relighter:
 
     def background(self, environment: Environment, view: View) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
-        return (
-            _look_up(jnp.asarray(environment.pixels), *view.image_coordinates, jnp.float32(environment.rotate_y / 360))
-            * environment.scale
-        )
+        u, v = view.image_coordinates
+        return _look_up(environment.pixels, u, v, np.float32(environment.rotate_y / 360), environment.scale)
 
     def image(
         self, environment: Environment, view: View, terms: LightTerms | None = None, background: bool = True
@@ -128,8 +126,8 @@ def _compiled_terms(operator: Operator, light: Float[Array, "d c"], receivers: i
 
 
 @jax.jit
-def _look_up(pixels, u, v, turn):
-    return latlong.look_up(pixels, u + turn, v)
+def _look_up(pixels, u, v, turn, scale):
+    return latlong.look_up(pixels, u + turn, v) * scale
 
 
 def _view_sides(reflection: Reflection) -> Reflection:
@@ -149,10 +147,10 @@ def shade(
     Each block is compiled by itself: as the view moves, every block's number of pixels changes on its own.
     """
     height, width = shape
-    image = jnp.zeros((height * width, terms[0].shape[-1]), terms[0].dtype)
+    image = np.zeros((height * width, terms[0].shape[-1]), terms[0].dtype)
     for block in zip(reflections, weights, terms, materials, strict=True):
         image = _add_block(image, *block)
-    return image.reshape(height, width, -1)
+    return jnp.reshape(image, (height, width, -1))
 
 
 @jax.jit

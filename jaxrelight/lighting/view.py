@@ -5,7 +5,6 @@ import functools
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
@@ -58,7 +57,7 @@ class View:
     def image_coordinates(self) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
         """Where each pixel's direction lies in a lat-long map, rightwards and downwards 0 … 1."""
         u, v = latlong.coordinates(self.directions)
-        return jnp.asarray(u, jnp.float32), jnp.asarray(v, jnp.float32)
+        return jax.device_put((u.astype(np.float32), v.astype(np.float32)))
 
 
 def make_view(transport: Transport, camera: Camera) -> View:
@@ -86,14 +85,18 @@ def make_view(transport: Transport, camera: Camera) -> View:
         def padded(rows, fill=0, mine=mine, pad=pad):
             return np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
 
+        directions = gbuffer.normals, gbuffer.tangents, gbuffer.omega_o
+        # Nothing is compiled to put arrays of NumPy in place.
         parts[block.material] = MaterialPixels(
-            pixel=jnp.asarray(padded(pixel, gbuffer.covered.size)),
-            receivers=jnp.asarray(padded(receivers - first)),
-            weights=jnp.asarray(padded(weights), jnp.float32),
-            uv=jnp.asarray(padded(gbuffer.uv), jnp.float32),
-            omega_o=_local(
-                *(padded(v).astype(np.float32) for v in (gbuffer.normals, gbuffer.tangents, gbuffer.omega_o))
+            *jax.device_put(
+                (
+                    padded(pixel, gbuffer.covered.size).astype(np.int32),
+                    padded(receivers - first).astype(np.int32),
+                    padded(weights).astype(np.float32),
+                    padded(gbuffer.uv).astype(np.float32),
+                )
             ),
+            omega_o=_local(*(padded(v).astype(np.float32) for v in directions)),
         )
     return View(tuple(parts[name] for name in transport.names), gbuffer.covered, gbuffer.directions)
 

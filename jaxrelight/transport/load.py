@@ -103,12 +103,30 @@ class Transport:
         return [block.reflection for block in self.blocks]
 
 
-def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
+@dataclasses.dataclass(frozen=True)
+class Placed:
+    """The geometry of a scene, ready for rays, and its receivers.
+
+    Attributes:
+        surfaces: all meshes.
+        normal_maps: theirs.
+        tracer: rays against them.
+        receivers: the points of the operator's rows.
+    """
+
+    surfaces: Surfaces
+    normal_maps: NormalMaps
+    tracer: Tracer
+    receivers: Receivers
+
+
+def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed | None = None) -> Transport:
     """Opens a store; nothing is written.
 
     Args:
         folder: the store.
         header: of the scene that is wanted, as `precompute` gives it; by default of the last one precomputed.
+        placed: its geometry, as `precompute` gives it; by default read from the store.
 
     Raises:
         InputError: if it is not complete, damaged, or of another format.
@@ -116,7 +134,7 @@ def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
     folder = pathlib.Path(folder)
     header = header or store.read_header(folder)
     try:
-        return _load(folder, header)
+        return _load(folder, header, placed)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"{folder / 'store.json'}: damaged ({type(error).__name__}: {error}); "
@@ -124,22 +142,12 @@ def load(folder: str | pathlib.Path, header: dict | None = None) -> Transport:
         ) from None
 
 
-def _load(folder: pathlib.Path, header: dict) -> Transport:
+def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transport:
     settings = Settings(**header["settings"])
-    geometry = store.open_layer(folder / header["geometry"])
-    surfaces = _read_geometry(geometry)
-    visibility = store.open_layer(folder / header["visibility"])
-    for layer in (geometry, visibility):
-        if layer.missing:
-            raise InputError(
-                f"{layer.folder}: {len(layer.missing):,} groups are missing; run precompute to complete them"
-            )
-    tracer, camera = Tracer(surfaces), Camera(**header["camera"])
-    entries = {record["number"]: record["normal_map"] for record in header["materials"]}
-    maps = {number: read_texture(folder, entry) for number, entry in entries.items() if entry is not None}
-    normal_maps = tuple(maps.get(number) for number in header["material_of_mesh"])
-    material_of_mesh = np.array(header["material_of_mesh"])
-    receivers = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
+    camera = Camera(**header["camera"])
+    placed = placed or _placed(folder, header, camera, settings)
+    surfaces, receivers = placed.surfaces, placed.receivers
+    visibility = _whole_layer(folder / header["visibility"])
     if len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
@@ -156,9 +164,7 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         if settings.coefficients == "all":
             operators.append(_streamed(settings, visibility, receivers, groups, reflection))
         else:
-            layer = store.open_layer(folder / record["transport"])
-            if layer.missing:
-                raise InputError(f"{folder}: {len(layer.missing)} groups are missing; run precompute to complete them")
+            layer = _whole_layer(folder / record["transport"])
             arrays = layer.read_all()
             operators.append(_sparse_rows(layer.folder, arrays["indices"], arrays["values"], settings))
             dropped = arrays["dropped"].reshape(-1, reflection.channels)
@@ -170,9 +176,9 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
     environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
     return Transport(
         settings=settings,
-        surfaces=at_vertices(surfaces, normal_maps) if settings.receivers == "vertices" else surfaces,
-        normal_maps=() if settings.receivers == "vertices" else normal_maps,
-        tracer=tracer,
+        surfaces=at_vertices(surfaces, placed.normal_maps) if settings.receivers == "vertices" else surfaces,
+        normal_maps=() if settings.receivers == "vertices" else placed.normal_maps,
+        tracer=placed.tracer,
         receivers=receivers,
         blocks=tuple(blocks),
         operator=Stacked(tuple(operators)),
@@ -185,6 +191,26 @@ def _load(folder: pathlib.Path, header: dict) -> Transport:
         folder=folder,
         visibility=visibility,
     )
+
+
+def _placed(folder: pathlib.Path, header: dict, camera: Camera, settings: Settings) -> Placed:
+    surfaces = _read_geometry(_whole_layer(folder / header["geometry"]))
+    tracer = Tracer(surfaces)
+    entries = {record["number"]: record["normal_map"] for record in header["materials"]}
+    maps = {number: read_texture(folder, entry) for number, entry in entries.items() if entry is not None}
+    normal_maps = tuple(maps.get(number) for number in header["material_of_mesh"])
+    material_of_mesh = np.array(header["material_of_mesh"])
+    receivers = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
+    return Placed(surfaces, normal_maps, tracer, receivers)
+
+
+def _whole_layer(folder: pathlib.Path) -> store.Layer:
+    layer = store.open_layer(folder)
+    if layer.missing:
+        raise InputError(
+            f"{folder}: {len(layer.missing):,} of {layer.groups:,} parts are missing; run precompute to complete them"
+        )
+    return layer
 
 
 def stored_environment(transport: Transport) -> Environment | None:
@@ -311,13 +337,13 @@ _compiled = functools.cache(jax.jit)
 
 def read_factors(layer: store.Layer) -> Factored:
     """Factors from their layer."""
-    return Factored(jnp.asarray(layer.read("light_maps", 0)), jnp.asarray(layer.read("view_maps", 0)))
+    return Factored(*jax.device_put((layer.read("light_maps", 0), layer.read("view_maps", 0))))
 
 
 def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
     """A texture from its layer, or a constant one from its values."""
     if isinstance(entry, str):
-        return Texture(jnp.asarray(store.open_layer(folder / entry).read("pixels", 0)))
+        return Texture(jax.device_put(store.open_layer(folder / entry).read("pixels", 0)))
     return constant(entry)
 
 

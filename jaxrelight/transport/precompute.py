@@ -33,7 +33,7 @@ from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.sparse_rows import smallest_index_type
 from jaxrelight.scene import Scene
 from jaxrelight.transport import bake
-from jaxrelight.transport.load import fixed_view, frames_of, read_factors, receivers_of
+from jaxrelight.transport.load import Placed, fixed_view, frames_of, read_factors, receivers_of
 from jaxrelight.transport.settings import Settings
 from jaxrelight.transport.visibility import trace_visibility
 
@@ -52,6 +52,7 @@ class Summary:
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
         header: what the store's header says of this scene; another process may write another one meanwhile.
+        placed: the geometry, for `load`.
         notes: what the settings cost that one might not expect, one line each.
     """
 
@@ -61,6 +62,7 @@ class Summary:
     receivers: int
     nbytes: dict[str, int]
     header: dict
+    placed: Placed
     notes: tuple[str, ...] = ()
 
 
@@ -169,7 +171,8 @@ def precompute(
         notes.append(
             "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
         )
-    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, tuple(notes))
+    placed = Placed(surfaces, tuple(bumps), tracer, receivers)
+    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, placed, tuple(notes))
 
 
 class _timed:  # noqa: N801 - reads as a verb

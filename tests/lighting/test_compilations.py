@@ -1,0 +1,79 @@
+"""What is compiled anew, and what is not: shapes come in few sizes."""
+
+import contextlib
+import dataclasses
+
+import jax.monitoring
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import Part, Relighter, Scene, Settings
+
+SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)))
+CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
+SETTINGS = Settings(resolution=8, terms=2, coefficients=24, factor_resolution=8)
+
+
+@contextlib.contextmanager
+def _compilations():
+    """Counts what XLA is given to compile within the block."""
+    count = []
+
+    def listen(event: str, *_, **__):
+        if event == "/jax/core/compile/backend_compile_duration":
+            count.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield count
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:
+    parts = [Part(jr.plane((2, 2), floor), "floor"), Part(jr.sphere(0.35, ball), "ball")]
+    return Scene(parts, {"floor": jr.lambert([0.7, 0.6, 0.5]), "ball": jr.phong(0.2, 0.3, 6)}, camera, SKY)
+
+
+def _picture(scene: Scene, settings: Settings, folder) -> np.ndarray:
+    made = jr.precompute(scene, settings, folder)
+    relighter = Relighter(jr.load(made.folder, made.header))
+    return relighter.image(SKY, relighter.view())
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_another_mesh_of_similar_size_compiles_nothing(tmp_path, receivers: str):
+    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    with _compilations() as first:
+        one = _picture(_scene(13, 30), settings, tmp_path / "one")
+    assert len(first) > 3
+    with _compilations() as second:
+        other = _picture(_scene(12, 28), settings, tmp_path / "other")
+    assert not second
+    assert np.abs(one - other).max() > 0
+    # Not because all is one size: a far larger mesh, or a far larger picture, does.
+    larger = _scene(40, 28) if receivers == "vertices" else _scene(12, 28, dataclasses.replace(CAMERA, width=90))
+    with _compilations() as third:
+        _picture(larger, settings, tmp_path / "larger")
+    assert third
+
+
+def test_another_view_light_and_turn_compile_nothing(tmp_path):
+    made = jr.precompute(_scene(13, 30), SETTINGS, tmp_path)
+    relighter = Relighter(jr.load(made.folder, made.header))
+    first = relighter.image(SKY, relighter.view())
+    with _compilations() as compiled:
+        brighter = jr.environment(SKY.pixels[::-1] + 1, rotate_y=50, scale=2.5)
+        second = relighter.image(brighter, relighter.view(dataclasses.replace(CAMERA, origin=(-1.0, 1.2, 2.0))))
+    assert not compiled
+    assert np.abs(first - second).max() > 0.1
+
+
+def test_opening_the_store_again_compiles_nothing(tmp_path):
+    scene = _scene(13, 30)
+    one = _picture(scene, SETTINGS, tmp_path)
+    with _compilations() as compiled:
+        other = _picture(scene, SETTINGS, tmp_path)
+    assert not compiled
+    np.testing.assert_array_equal(one, other)
