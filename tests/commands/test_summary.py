@@ -13,9 +13,9 @@ from tests.commands.running import DIALS, summary_of
 SETTINGS = "receivers", "resolution", "visibility_samples", "terms", "coefficients", "factor_resolution"
 MADE = {"command", "store", "receivers", "operator_bytes", "kept_energy"}
 MADE |= {f"versions.{name}" for name in ("jaxrelight", "jax", "embreex")} | {f"settings.{name}" for name in SETTINGS}
-DONE = {"rays", "seconds.load", "seconds.geometry", "seconds.visibility", "seconds.transport", "seconds.open"} | {
-    f"bytes.{kind}" for kind in ("geometry", "environment", "visibility", "factors", "transport")
-}
+DONE = {"rays", "rays_per_second"}
+DONE |= {f"seconds.{stage}" for stage in ("load", "geometry", "visibility", "transport", "open")}
+DONE |= {f"bytes.{kind}" for kind in ("geometry", "environment", "visibility", "factors", "transport")}
 PICTURE = {"picture", "width", "height", "covered", "mean_radiance"} | {
     f"seconds.{stage}" for stage in ("view", "light_first", "light", "shade", "write", "total")
 }
