@@ -1,5 +1,8 @@
 """The command line: parsing only."""
 
+import difflib
+import functools
+import operator
 import os
 import sys
 
@@ -13,11 +16,19 @@ from jaxrelight.commands.render import Render
 from jaxrelight.compilation_cache import keep_compilations
 from jaxrelight.errors import InputError
 
+_COMMANDS = Demo, Render, Precompute, Relight, Info
+
 
 def main() -> None:
     """Runs the command that was asked for; exits with 1 and one line for bad input, 2 for a wrong command line."""
+    names = [kind.__name__.lower() for kind in _COMMANDS]
+    if len(sys.argv) > 1 and not sys.argv[1].startswith("-") and sys.argv[1] not in names:
+        close = difflib.get_close_matches(sys.argv[1], names, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(names)}"
+        print(f"jaxrelight: '{sys.argv[1]}' is not a command; {hint}", file=sys.stderr)
+        sys.exit(2)
     command = tyro.cli(
-        Demo | Render | Precompute | Relight | Info,  # pyright: ignore[reportArgumentType]
+        functools.reduce(operator.or_, _COMMANDS),
         prog="jaxrelight",
         description="Precompute light transport once; relight under any environment, from any view.",
         config=(tyro.conf.FlagCreatePairsOff,),

@@ -63,5 +63,6 @@ def as_made(made: "Summary") -> dict:
         "store": str(made.folder),
         "receivers": made.receivers,
         "rays": made.rays,
+        "rays_per_second": made.rays / max(made.seconds["visibility"], 1e-9),
         "bytes": made.nbytes,
     }

@@ -10,6 +10,7 @@ rounding. A command that fails prints nothing on standard output: one line on st
     settings         the dials it was precomputed with, by the names of the options
     receivers        vertices, or pixels that see a surface
     rays             traced by this run; 0 if all was there
+    rays_per_second  of the visibility stage
     seconds          by stage, in the order they came: geometry, visibility, transport; open, environment, view,
                      light_first (with compilation), light, shade, write; load (the scene), total
     bytes            on disk, by kind of layer
@@ -34,6 +35,9 @@ finite pixels; mean by channel), negative_pixels, not_finite_pixels.
 """
 
 import json
+import shutil
+import sys
+import textwrap
 
 
 def summarize(summary: dict, as_json: bool) -> None:
@@ -41,9 +45,13 @@ def summarize(summary: dict, as_json: bool) -> None:
     if as_json:
         print(json.dumps(summary), flush=True)
         return
+    # Lines of a file or a pipe stay whole.
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else sys.maxsize
     for name, value in summary.items():
         if name not in ("command", "kind"):
-            print(f"{name.replace('_', ' '):>16}  {_words(name, value)}", flush=True)
+            line = f"{name.replace('_', ' '):>16}  {_words(name, value)}"
+            wrapped = textwrap.wrap(line, width, subsequent_indent=" " * 18, break_on_hyphens=False)
+            print("\n".join(wrapped), flush=True)
 
 
 def versions() -> dict[str, str]:
@@ -56,7 +64,9 @@ def versions() -> dict[str, str]:
 def _words(name: str, value) -> str:
     """A value as people read it: the name tells its unit."""
     if isinstance(value, dict):
-        entries = (f"{key.replace('_', ' ')} {_words(name, entry)}" for key, entry in value.items())
+        # Names that the scene or the disk gives stay as they are.
+        given = name in ("meshes", "materials", "bytes")
+        entries = (f"{key if given else key.replace('_', ' ')} {_words(name, entry)}" for key, entry in value.items())
         return ", ".join(entries) or "none"
     if isinstance(value, list):
         return ", ".join(_words(name, entry) for entry in value) or "none"
@@ -72,6 +82,6 @@ def _words(name: str, value) -> str:
         return f"{value / 1e6:,.1f} MB" if value >= 1e5 else f"{value / 1e3:,.1f} kB"
     if name in ("kept_energy", "covered", "error"):
         return f"{100 * value:.4g} %"
-    if name == "rays" and value >= 1e6:
+    if name.startswith("rays") and value >= 1e6:
         return f"{value / 1e6:,.1f} million"
     return f"{value:,}" if isinstance(value, int) else f"{value:.4g}"

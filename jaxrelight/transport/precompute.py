@@ -81,7 +81,7 @@ def precompute(
         scene: what to precompute; its environment is stored as the default light.
         settings: the dials.
         folder: the store; by default one in the user's cache folder, named by the geometry.
-        report: called at the start and after every group.
+        report: called when a stage that has something to do starts, and after every group.
     """
     seconds: dict[str, float] = {}
     with _timed(seconds, "geometry"):
@@ -279,8 +279,9 @@ def _complete(layer: store.Layer, filled: np.ndarray, make: Callable[[int], None
     def tell():
         report(int(filled[list(layer.done)].sum()), int(filled.sum()))
 
-    tell()
     missing = layer.missing
+    if missing:
+        tell()
     # Another process may be at the same layer: in another order, so that they share the work.
     random.Random(os.getpid()).shuffle(missing)
 

@@ -2,6 +2,7 @@
 
 import json
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -10,100 +11,9 @@ import pytest
 
 from jaxrelight import Settings, cli, read_image, store, write_image
 from jaxrelight.transport import precompute as stages
+from tests.commands.running import DIALS, SCENE, refusal_of, summary_of
 
-SCENE = """
-[camera]
-origin = [0, 1, 3]
-target = [0, 0.1, 0]
-width = 12
-height = 10
-[environment]
-file = "sky.exr"
-[material.paper]
-type = "lambert"
-albedo = [0.5, 0.4, 0.3]
-[material.gloss]
-type = "phong"
-diffuse = 0.1
-specular = 0.3
-exponent = 5
-[[mesh]]
-primitive = "plane"
-size = [2, 2]
-resolution = 3
-material = "paper"
-[[mesh]]
-primitive = "sphere"
-radius = 0.4
-resolution = 3
-material = "gloss"
-"""
-DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
 COMMANDS = "demo", "render", "precompute", "relight", "info"
-
-
-@pytest.fixture(autouse=True)
-def _cache(monkeypatch, tmp_path):
-    """No test writes to the user's own cache."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch) -> pathlib.Path:
-    """Where commands run: a scene and two skies."""
-    pixels = np.random.default_rng(0).gamma(0.5, size=(8, 16, 3))
-    write_image(tmp_path / "sky.exr", pixels)
-    write_image(tmp_path / "other.hdr", pixels[::-1] + 1)
-    (tmp_path / "scene.toml").write_text(SCENE)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Runs a command in this process: (exit status, standard output, standard error)."""
-
-    def call(*arguments) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["jaxrelight", *map(str, arguments)])
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            status = stop.code
-        captured = capsys.readouterr()
-        assert isinstance(status, int)
-        return status, captured.out, captured.err
-
-    return call
-
-
-@pytest.fixture
-def made(folder, run) -> pathlib.Path:
-    """A store of the scene, for vertices."""
-    assert run("precompute", "scene.toml", "-o", "made", *DIALS, "--json")[0] == 0
-    return folder / "made"
-
-
-def _summary(result: tuple[int, str, str]) -> dict:
-    """The one JSON object that a successful command printed."""
-    status, out, err = result
-    assert status == 0, err
-    assert len(out.splitlines()) == 1
-
-    def refuse(constant):
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(out, parse_constant=refuse)
-
-
-def _refusal(result: tuple[int, str, str]) -> str:
-    """The one line of a command that refused its input."""
-    status, out, err = result
-    assert status == 1
-    assert out == ""
-    assert err.startswith("jaxrelight: ")
-    assert len(err.splitlines()) == 1
-    return err
 
 
 # How it ends, seen from outside.
@@ -175,7 +85,7 @@ def test_interruption_says_what_is_kept(folder, run, monkeypatch):
     status, _, err = run("precompute", "scene.toml", "-o", "made", *DIALS)
     assert status == 130
     said = "jaxrelight: stopped at 0 % of visibility; what is done is kept, run the same command to go on"
-    assert err.splitlines()[-1] == said
+    assert err.splitlines() == [said]
 
 
 # Bad input, one line each.
@@ -209,7 +119,7 @@ def test_interruption_says_what_is_kept(folder, run, monkeypatch):
 )
 def test_bad_input_is_one_line(folder, run, arguments, said: str):
     (folder / "scene.txt").write_text("a scene")
-    assert said in _refusal(run(*arguments))
+    assert said in refusal_of(run(*arguments))
     assert not (folder / "out.exr").exists()
 
 
@@ -217,7 +127,7 @@ def test_bad_input_is_one_line(folder, run, arguments, said: str):
 @pytest.mark.parametrize("command", ["render", "relight"])
 def test_output_is_checked_before_any_work(folder, run, monkeypatch, command: str, output: str):
     """Even before the scene or the store is looked at: neither exists here."""
-    message = _refusal(run(command, "none.toml", "-o", output))
+    message = refusal_of(run(command, "none.toml", "-o", output))
     assert output in message
     assert "scene" not in message
     assert "store" not in message
@@ -227,27 +137,26 @@ def test_output_is_checked_before_any_work(folder, run, monkeypatch, command: st
 def test_scene_without_environment_is_found_before_any_ray(folder, run, monkeypatch):
     (folder / "dark.toml").write_text(SCENE.replace('[environment]\nfile = "sky.exr"\n', ""))
     monkeypatch.setattr(stages, "trace_visibility", None)
-    message = _refusal(run("render", "dark.toml", "-o", "out.exr", *DIALS))
+    message = refusal_of(run("render", "dark.toml", "-o", "out.exr", *DIALS))
     assert "no environment; name one with --env MAP" in message
 
 
 def test_dark_store_needs_an_environment(folder, run):
     (folder / "dark.toml").write_text(SCENE.replace('[environment]\nfile = "sky.exr"\n', ""))
     assert run("precompute", "dark.toml", "-o", "made", *DIALS)[0] == 0
-    assert "--env MAP" in _refusal(run("relight", "made", "-o", "out.exr"))
+    assert "--env MAP" in refusal_of(run("relight", "made", "-o", "out.exr"))
     assert run("relight", "made", "-o", "out.exr", "--env", "sky.exr")[0] == 0
-    assert _summary(run("info", "dark.toml", "--json"))["environment"] is None
+    assert summary_of(run("info", "dark.toml", "--json"))["environment"] is None
 
 
 # What is done.
 
 
 def test_render_then_again(folder, run):
-    first = _summary(run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS, "--json"))
+    first = summary_of(run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS, "--json"))
     assert first["rays"] > 0
-    assert set(first["seconds"]) >= {"geometry", "visibility", "transport", "light", "view", "shade", "write"}
     assert all(seconds >= 0 for seconds in first["seconds"].values())
-    assert set(first["bytes"]) == {"geometry", "visibility", "factors", "transport", "environment"}
+    assert set(first["bytes"]) == {"geometry", "environment", "visibility", "factors", "transport"}
     assert 0.5 < first["kept_energy"] < 1
     assert first["settings"] == {
         "receivers": "pixels",
@@ -265,14 +174,14 @@ def test_render_then_again(folder, run):
     assert first["receivers"] == image[..., 3].sum()
     assert first["mean_radiance"] == pytest.approx(image[image[..., 3] == 1][:, :3].mean(), rel=1e-5)
 
-    again = _summary(run("render", "scene.toml", "-o", "b.exr", "--store", "made", *DIALS, "--json"))
+    again = summary_of(run("render", "scene.toml", "-o", "b.exr", "--store", "made", *DIALS, "--json"))
     assert again["rays"] == 0
     assert pathlib.Path("a.exr").read_bytes() == pathlib.Path("b.exr").read_bytes()
 
 
 def test_render_without_a_store_uses_the_cache(folder, run):
     for rays in (True, False):
-        summary = _summary(run("render", "scene.toml", "-o", "a.png", *DIALS, "--json"))
+        summary = summary_of(run("render", "scene.toml", "-o", "a.png", *DIALS, "--json"))
         assert (summary["rays"] > 0) == rays
         assert pathlib.Path(summary["store"]).parent == folder / "cache" / "jaxrelight"
 
@@ -283,8 +192,9 @@ def test_render_in_words(folder, run):
     lines = {line[:16].strip(): line[18:] for line in out.splitlines()}
     assert lines["picture"] == "a.hdr"
     assert (lines["width"], lines["height"]) == ("12", "10")
-    assert "visibility" in lines["seconds"]
-    assert lines["kept energy"].endswith(" %")
+    assert re.search(r"visibility [0-9.]+ s, transport", lines["seconds"])
+    assert re.fullmatch(r"[0-9.]+ %", lines["kept energy"])
+    assert re.search(r"geometry [0-9.]+ kB", lines["bytes"])
     assert read_image("a.hdr").shape == (10, 12, 3)
 
 
@@ -301,7 +211,7 @@ def test_nonfinite_sky_is_zeroed_when_asked(folder, run):
     pixels = np.ones((8, 16, 3))
     pixels[0, 0] = np.nan
     write_image("sky.exr", pixels)
-    assert "1 NaN or infinite pixels" in _refusal(run("render", "scene.toml", "-o", "a.exr", *DIALS))
+    assert "1 NaN or infinite pixels" in refusal_of(run("render", "scene.toml", "-o", "a.exr", *DIALS))
     status, _, err = run("render", "scene.toml", "-o", "a.exr", *DIALS, "--zero-nonfinite")
     assert status == 0
     assert "note: sky.exr: 1 NaN or infinite pixels were set to 0" in err
@@ -310,17 +220,7 @@ def test_nonfinite_sky_is_zeroed_when_asked(folder, run):
 
 def test_relight(folder, run, made):
     def relit(*arguments) -> np.ndarray:
-        summary = _summary(run("relight", "made", "-o", "out.exr", *arguments, "--json"))
-        assert set(summary) >= {
-            "picture",
-            "width",
-            "height",
-            "covered",
-            "seconds",
-            "operator_bytes",
-            "kept_energy",
-            "settings",
-        }
+        summary_of(run("relight", "made", "-o", "out.exr", *arguments, "--json"))
         return read_image("out.exr")
 
     plain = relit()
@@ -378,13 +278,13 @@ def test_exposure_is_for_png(folder, run, made):
 
 def test_other_camera_of_a_store_of_pixels_is_refused(folder, run):
     assert run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS)[0] == 0
-    message = _refusal(run("relight", "made", "-o", "b.exr", "--fov-y", "50"))
+    message = refusal_of(run("relight", "made", "-o", "b.exr", "--fov-y", "50"))
     assert "--receivers vertices" in message
     assert not (folder / "b.exr").exists()
 
 
 def test_render_with_another_camera(folder, run):
-    summary = _summary(
+    summary = summary_of(
         run("render", "scene.toml", "-o", "a.exr", "--origin", "0", "2", "2", "--width", "8", *DIALS, "--json")
     )
     assert (summary["width"], summary["height"]) == (8, 10)
@@ -392,7 +292,7 @@ def test_render_with_another_camera(folder, run):
 
 
 def test_info_on_a_store(folder, run, made):
-    summary = _summary(run("info", "made", "--json"))
+    summary = summary_of(run("info", "made", "--json"))
     assert summary["scene"] == "scene"
     assert summary["receivers"] == 16 + 56
     assert summary["rows"] == 128 + 2 * 128
@@ -406,18 +306,18 @@ def test_info_on_a_store(folder, run, made):
     changed = SCENE.replace("albedo = [0.5, 0.4, 0.3]", "albedo = 0.9")
     (folder / "scene.toml").write_text(changed)
     assert run("precompute", "scene.toml", "-o", "made", *DIALS)[0] == 0
-    unused = _summary(run("info", "made", "--json"))["unused_layers"]
+    unused = summary_of(run("info", "made", "--json"))["unused_layers"]
     assert sorted(name.partition("-")[0] for name in unused) == ["factors", "transport"]
 
 
 def test_info_on_a_scene(folder, run):
-    summary = _summary(run("info", "scene.toml", "--json"))
+    summary = summary_of(run("info", "scene.toml", "--json"))
     assert summary["vertices"] == 16 + 56
     assert summary["materials"] == {"gloss": "glossy", "paper": "diffuse"}
-    assert list(summary["meshes"].values()) == [
-        {"vertices": 16, "faces": 18, "material": "paper"},
-        {"vertices": 56, "faces": 108, "material": "gloss"},
-    ]
+    assert summary["meshes"] == {
+        "0:plane": {"vertices": 16, "faces": 18, "material": "paper"},
+        "1:sphere": {"vertices": 56, "faces": 108, "material": "gloss"},
+    }
     assert summary["camera"] == {"width": 12, "height": 10, "fov_y": 38.0}
     assert summary["environment"] == {"width": 16, "height": 8}
 
@@ -425,13 +325,13 @@ def test_info_on_a_scene(folder, run):
 def test_a_mesh_alone(folder, run):
     """Precomputed, rendered under a sky that is named or not, and told of; what was assumed is told too."""
     pathlib.Path("thing.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
-    told = _summary(run("info", "thing.obj", "--json"))["meshes"]["0:thing.obj"]
+    told = summary_of(run("info", "thing.obj", "--json"))["meshes"]["0:thing.obj"]
     assert told == {"vertices": 4, "faces": 4, "material": "plaster"}
     size = ("--width", "12", "--height", "10", "--resolution", "8")
     result = run("render", "thing.obj", "-o", "own.exr", *size, "--json")
-    assert 0.2 < _summary(result)["covered"] < 1
+    assert 0.2 < summary_of(result)["covered"] < 1
     assert "under a built-in sky" in result[2]
-    _summary(run("render", "thing.obj", "-o", "other.exr", "--env", "sky.exr", *size, "--json"))
+    summary_of(run("render", "thing.obj", "-o", "other.exr", "--env", "sky.exr", *size, "--json"))
     assert not np.array_equal(read_image("own.exr"), read_image("other.exr"))
 
 
@@ -440,18 +340,17 @@ def test_info_on_an_image(folder, run):
     pixels[0, 0] = np.nan
     pixels[1, 1] = -1, 3, 0.5
     write_image("image.exr", pixels)
-    summary = _summary(run("info", "image.exr", "--json"))
+    summary = summary_of(run("info", "image.exr", "--json"))
     assert (summary["width"], summary["height"], summary["channels"]) == (6, 4, 3)
     assert (summary["largest"], summary["negative_pixels"], summary["not_finite_pixels"]) == (3, 1, 1)
     np.testing.assert_allclose(summary["mean"], [(22 * 0.5 - 1) / 23, (22 * 0.5 + 3) / 23, 0.5])
 
 
 def test_damaged_store_is_one_line(folder, run, made):
-    header = store.read_header(made)
-    file = made / header["materials"][0]["transport"] / "000000"
-    file.write_bytes(file.read_bytes()[:-1])
+    part = made / store.read_header(made)["materials"][0]["transport"] / "000000"
+    part.write_bytes(part.read_bytes()[:-1])
     for arguments in (["relight", "made", "-o", "out.exr"], ["info", "made"]):
-        assert "000000: damaged, its checksum is wrong" in _refusal(run(*arguments))
+        assert f"{part.name}: damaged, its checksum is wrong; run precompute again" in refusal_of(run(*arguments))
     assert not (folder / "out.exr").exists()
 
 
@@ -460,7 +359,7 @@ def test_demo(folder, run, monkeypatch, quick: bool):
     if quick:
         small = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
         monkeypatch.setattr("jaxrelight.transport.settings.Settings", lambda **_: small)
-    summary = _summary(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
+    summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     pictures = {path.name for path in (folder / "shown").glob("*.png")}
     assert pictures == {"relit.png", "sky_turned_0.png", "sky_turned_70.png", "sky_turned_200.png"}
     turned = [read_image(f"shown/sky_turned_{degrees}.png") for degrees in (0, 70, 200)]
@@ -468,11 +367,10 @@ def test_demo(folder, run, monkeypatch, quick: bool):
     assert read_image("shown/relit.png").shape == (32, 63, 3)
     assert all(np.abs(turned[0] - other).mean() > 0.01 for other in turned[1:])
     assert summary["rays"] > 0
-    assert set(summary["milliseconds"]) == {"change_of_light", "change_of_view", "shading"}
-    assert set(summary["bytes"]) == {"geometry", "visibility", "factors", "transport", "environment"}
+    assert set(summary["bytes"]) == {"geometry", "environment", "visibility", "factors", "transport"}
     assert summary["versions"]["jaxrelight"]
     assert summary["settings"]["coefficients"] == (32 if quick else 256)
     assert (0.7 if quick else 0.9) < summary["kept_energy"] < 1
-    whole, trimmed = (summary["error"][key] for key in ("coefficients", "without_worst_5_percent"))
+    whole, trimmed = (summary["error"][name] for name in ("coefficients", "without_worst_5_percent"))
     assert 0 < trimmed < whole < (0.2 if quick else 0.1)
     assert {path.name.partition("-")[0] for path in (folder / "shown" / "store").glob("*-*")} == set(summary["bytes"])

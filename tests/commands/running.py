@@ -1,0 +1,54 @@
+"""What tests of the command line run, and what they expect of its output."""
+
+import json
+
+SCENE = """
+[camera]
+origin = [0, 1, 3]
+target = [0, 0.1, 0]
+width = 12
+height = 10
+[environment]
+file = "sky.exr"
+[material.paper]
+type = "lambert"
+albedo = [0.5, 0.4, 0.3]
+[material.gloss]
+type = "phong"
+diffuse = 0.1
+specular = 0.3
+exponent = 5
+[[mesh]]
+primitive = "plane"
+size = [2, 2]
+resolution = 3
+material = "paper"
+[[mesh]]
+primitive = "sphere"
+radius = 0.4
+resolution = 3
+material = "gloss"
+"""
+DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
+
+
+def summary_of(result: tuple[int, str, str]) -> dict:
+    """The one JSON object that a successful command printed."""
+    status, out, err = result
+    assert status == 0, err
+    assert len(out.splitlines()) == 1
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    return json.loads(out, parse_constant=refuse)
+
+
+def refusal_of(result: tuple[int, str, str]) -> str:
+    """The one line of a command that refused its input."""
+    status, out, err = result
+    assert status == 1
+    assert out == ""
+    assert err.startswith("jaxrelight: ")
+    assert len(err.splitlines()) == 1
+    return err
