@@ -24,8 +24,8 @@ VARIABLE = "JAXRELIGHT_COMPILATION_CACHE"
 def keep_compilations(folder: str | os.PathLike | None = None) -> pathlib.Path | None:
     """Has JAX look for compiled programs in a folder, and keep new ones there, from the next compilation on.
 
-    Best called before JAX compiles anything: JAX opens a cache once. A folder that cannot be used, or what is damaged
-    in it, costs time and nothing else.
+    Best called before JAX compiles anything: JAX opens a cache once. A folder that cannot be used, or files
+    in it that were cut, cost time and nothing else. JAX keeps no checksum of its programs, so other damage may show.
 
     Args:
         folder: by default that of JAXRELIGHT_COMPILATION_CACHE, else one in the user's cache folder for this kind of

@@ -86,19 +86,18 @@ def test_folder_that_cannot_be_used_costs_only_time(tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "flipped", "folder"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "folder"])
 def test_damaged_programs_cost_only_time(tmp_path, damage: str):
     """They are compiled again, without a word."""
     _run("call", **{VARIABLE: str(tmp_path)})
     entries = [path for path in tmp_path.iterdir() if path.name.endswith("-cache")]
     assert entries
     for entry in entries:
-        content = bytearray(entry.read_bytes())
-        content[len(content) // 2] ^= 4
+        content = entry.read_bytes()
         entry.unlink()
         if damage == "folder":
             entry.mkdir()
         else:
-            entry.write_bytes({"cut": content[: len(content) // 2], "empty": b"", "flipped": content}[damage])
+            entry.write_bytes({"cut": content[: len(content) // 2], "empty": b""}[damage])
     value, _, hits, _ = _run("call", **{VARIABLE: str(tmp_path)})
     assert (value, hits) == (30, 0)
