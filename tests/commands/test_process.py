@@ -14,7 +14,14 @@ from jaxrelight import cli
 from jaxrelight.commands import progress as bars
 from tests.commands.running import DIALS
 
-COMMAND = [sys.executable, "-c", "from jaxrelight.cli import main; main()"]
+# Interrupts are ignored in what a shell started in the background; here they must count.
+PROGRAM = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from jaxrelight.cli import main
+main()
+"""
+COMMAND = [sys.executable, "-c", PROGRAM]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(pathlib.Path(cli.__file__).parents[1])}
 
 
