@@ -27,6 +27,7 @@ def main():
             "light_truncation": [],
             "mesh_size": [],
             "large_scenes": [],
+            "second_render": [],
         }
         failed = [name for name, options in programs.items() if not _succeeds(name, options, quick)]
     if failed:

@@ -178,10 +178,9 @@ def precompute_child(path: pathlib.Path, terms: int, resolution: int, folder: pa
     start = time.perf_counter()
     done = precompute(scene, Settings(terms=terms, resolution=resolution, coefficients=128), folder)
     wall = time.perf_counter() - start
-    kinds = dict.fromkeys(("geometry", "visibility", "factors", "transport"), 0)
-    for layer, count in done.nbytes.items():
-        kinds[layer.split("-")[0]] += count
-    answer({"seconds": done.seconds, "wall": wall, "rays": done.rays, "receivers": done.receivers, "bytes": kinds})
+    answer(
+        {"seconds": done.seconds, "wall": wall, "rays": done.rays, "receivers": done.receivers, "bytes": done.nbytes}
+    )
 
 
 def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
