@@ -8,28 +8,31 @@ import tempfile
 
 from tests.benchmarks.measuring import ROOT
 
+PROGRAMS = (
+    "precompute",
+    "kernels",
+    "reference_images",
+    "terms_curve",
+    "factor_error",
+    "pictures_by_terms",
+    "shadow_error",
+    "light_truncation",
+    "mesh_size",
+    "large_scenes",
+    "second_render",
+)
+
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.all", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="small trials; RESULTS.md is left as it is")
     quick = parser.parse_args().quick
     with tempfile.TemporaryDirectory() as folder:
-        # The stores that `precompute` makes give `kernels` real indices; those of a quick trial are too small for that.
-        store = pathlib.Path(folder, "bunny_phong-4")
-        programs = {
-            "precompute": ["--folder", folder],
-            "kernels": [] if quick else ["--store", str(store)],
-            "reference_images": [],
-            "terms_curve": [],
-            "factor_error": [],
-            "pictures_by_terms": [],
-            "shadow_error": [],
-            "light_truncation": [],
-            "mesh_size": [],
-            "large_scenes": [],
-            "second_render": [],
-        }
-        failed = [name for name, options in programs.items() if not _succeeds(name, options, quick)]
+        options = {"precompute": ["--folder", folder]}
+        if not quick:
+            # Real indices from what `precompute` makes; a quick trial's are too few.
+            options["kernels"] = ["--store", str(pathlib.Path(folder, "bunny_phong-4"))]
+        failed = [name for name in PROGRAMS if not _succeeds(name, options.get(name, []), quick)]
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
 

@@ -12,6 +12,9 @@ from tests.benchmarks.pictures import contact_sheet
 
 TERMS = 1, 2, 4, 8, 16
 LIGHT_DIRECTION, LIGHT_COLOUR = (0.4, 0.7, 0.6), (1.0, 0.85, 0.6)
+# Powers of the cosines of light and view in the error that the factors minimise.
+COSINES = (0, 0), (0.25, 0.25), (0.5, 0.5), (0, 0.25), (0, 0.5), (0.5, 0), (1, 0)
+ROTATIONS = 0, 130
 # §5: the paper's anisotropic BRDF.
 ANISOTROPIC = {"kd": 0.5, "ks": 0.75, "nu": 10, "nv": 100}
 
@@ -33,6 +36,7 @@ def main():
         scene = dragon(size)
         single_light(report, scene, arguments.pictures)
         environment_light(report, scene, folder, 16 if arguments.quick else 64, arguments.pictures)
+        many_lights(report, folder, arguments.quick)
 
 
 def dragon(size: int):
@@ -124,6 +128,61 @@ def environment_light(report: Report, scene, folder: pathlib.Path, resolution: i
     if pictures:
         level = float(np.quantile(truth[truth[..., 3] > 0][:, :3].mean(axis=-1), 0.95))
         contact_sheet(pictures / "grace.png", {**shown, "the BRDF itself": truth}, 3, -np.log2(level) - 0.3)
+
+
+def many_lights(report: Report, folder: pathlib.Path, quick: bool):
+    """Which powers of the cosine to factor with: four BRDFs on the bunny, under every environment there is."""
+    from jaxrelight import (
+        Camera,
+        Part,
+        Relighter,
+        Scene,
+        Settings,
+        exact,
+        factor,
+        image_error,
+        load_environment,
+        load_mesh,
+        precompute,
+        rebake,
+    )
+    from jaxrelight.brdf.reflection import FixedView
+    from jaxrelight.geometry.mesh import normalized
+    from tests.benchmarks.factor_error import brdfs
+
+    materials = brdfs(shared("data", "published", "lafortune_published.json"))
+    files = sorted(shared("data", "env").iterdir())[: 2 if quick else None]
+    lights = [load_environment(file, rotate_y) for file in files for rotate_y in ROTATIONS]
+    size, resolution = (16, 8) if quick else (72, 32)
+    camera = Camera((0.3, 0.9, 2.3), (0.0, 0.45, 0.0), (0.0, 1.0, 0.0), 28.0, size, size)
+    bunny = Part(normalized(load_mesh(shared("data", "mesh", "bunny_mitsuba.ply")), 1.0), "object")
+    settings = Settings("pixels", resolution, coefficients=1)
+    tables: dict[tuple, list] = {powers: [] for powers in COSINES}
+    for brdf in materials.values():
+        scene = Scene([bunny], {"object": brdf}, camera, name="bunny")
+        own = Relighter(exact(Relighter.open(precompute(scene, settings, folder / "many").folder).transport))
+        view = own.view()
+        truths = [own.image(light, view, background=False) for light in lights]
+        assert isinstance(own.transport.blocks[0].reflection, FixedView)
+        for powers, cells in tables.items():
+            whole = factor(brdf, max(TERMS), cosine=powers)
+            errors = {k: [] for k in (4, max(TERMS))}
+            way = Relighter(rebake(own.transport, [whole]))
+            for light, truth in zip(lights, truths, strict=True):
+                terms = way.light(light)
+                for k, found in errors.items():
+                    # Singular vectors come in order, so that few terms are the first of many.
+                    kept = (terms[0].at[:, k:].set(0), *terms[1:])
+                    error = image_error(way.image(light, view, kept, background=False), truth)
+                    found.append((error.trimmed, error.untrimmed))
+            cells += [" / ".join(percent(value) for value in np.mean(found, axis=0)) for found in errors.values()]
+    report.text(
+        f"**Cosines in the factorisation**: the bunny alone, pixel receivers, {size}×{size}, resolution {resolution}, "
+        f"all coefficients; against the BRDF itself, trimmed / untrimmed, means over {len(files)} environments at "
+        f"rotations of {' and '.join(map(str, ROTATIONS))} degrees. The default is (0.25, 0.25)."
+    )
+    heads = [f"{name}, K = {k}" for name in materials for k in (4, max(TERMS))]
+    report.table(["powers of light, view", *heads], [[str(powers), *cells] for powers, cells in tables.items()])
 
 
 if __name__ == "__main__":
