@@ -12,11 +12,12 @@ import scipy.sparse.linalg
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.nonnegative import nonnegative_factors, nonnegative_rows
 from jaxrelight.brdf.parametrisation import DISC, Parametrisation, look_up
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.errors import InputError
 
-Form = Literal["svd", "symmetric", "normalised"]
+Form = Literal["svd", "symmetric", "normalised", "nonnegative"]
 
 # Over four BRDFs and seven environments, pictures with these powers were nearest to those of the BRDF itself.
 COSINE = (0.25, 0.25)
@@ -96,9 +97,10 @@ def factor(
     terms: int = 4,
     resolution: int = 48,
     *,
-    form: Literal["svd", "normalised"] = "svd",
+    form: Literal["svd", "normalised", "nonnegative"] = "svd",
     parametrisation: Parametrisation = DISC,
     cosine: tuple[float, float] = COSINE,
+    error: float | None = None,
 ) -> Factored: ...
 @overload
 def factor(
@@ -109,6 +111,7 @@ def factor(
     form: Form,
     parametrisation: Parametrisation = DISC,
     cosine: tuple[float, float] = COSINE,
+    error: float | None = None,
 ) -> Factored | Symmetric: ...
 def factor(
     brdf: Brdf,
@@ -118,30 +121,36 @@ def factor(
     form: Form = "svd",
     parametrisation: Parametrisation = DISC,
     cosine: tuple[float, float] = COSINE,
+    error: float | None = None,
 ) -> Factored | Symmetric:
     """A BRDF as a sum of products of maps, for each channel by itself.
 
     Directions are sampled at the texel centres of a resolution² map (§4), each weighted by the projected solid angle
     of its texel, that is by its cosine. Texels off the hemisphere are continued by applying the BRDF at its edge to
     the other side's maps (Nyström's extension). A BRDF that is the same in all directions becomes one term of one
-    texel, exactly. Not differentiable: the maps are. Matrices above 256 MB are factored in single precision.
+    texel, exactly. Not differentiable in the BRDF (`refactored` is); the maps are. Matrices above 256 MB are factored
+    in single precision.
 
     Args:
         brdf: what to factor.
-        terms: K, the number of products.
+        terms: K, the number of products; the most where `error` is given.
         resolution: side of the maps.
         form: "svd", the products of least squared error (§3.3.1), √σ on either side; "symmetric", the same for a
             reciprocal BRDF by its eigenvectors, one map and a sign for each term; "normalised", a single term of
-            light-side reflectance times the mean distribution over the view (Kautz and McCool 1999), non-negative.
+            light-side reflectance times the mean distribution over the view (Kautz and McCool 1999), non-negative;
+            "nonnegative", products of maps that are nowhere negative, of a least squared error near by (alternating
+            least squares, column by column, from the larger parts of the singular vectors).
         parametrisation: of the maps: `DISC` (eq. 10) or `POLAR` (eq. 11).
         cosine: powers of cosθ_i and of cosθ_o by which the error that is minimised is multiplied; the maps are those
             of the BRDF itself all the same. (0, 0) leaves the cosine out as the paper does, (1, 0) folds it in as Liu
             et al. 2004 do. Some of it keeps terms from being spent on peaks at grazing angles, which hardly show.
+        error: as few terms as leave no more than this of any channel's weighted root mean square, 0 … 1.
 
     Raises:
-        InputError: if more terms are asked for than the map has directions, or than a form has; if the matrix would
-            take more than 1.5 GB; if the symmetric form is asked of a BRDF that is not reciprocal, or with two
-            different powers of the cosine.
+        InputError: if `terms` do not reach `error`; if more terms are asked for than the map has directions, or than a
+            form has; if the matrix would take more than 1.5 GB; if the symmetric form is asked of a BRDF that is not
+            reciprocal, or with two different powers of the cosine; if the non-negative form is asked of one that is
+            negative somewhere.
     """
     if form not in _FORMS:
         raise InputError(f"the form of factors is '{form}'; known are {', '.join(_FORMS)}")
@@ -155,7 +164,11 @@ def factor(
     count = len(samples.omega)
     if not 1 <= terms <= count:
         raise InputError(f"{terms} terms cannot be had from {count} directions; ask for fewer")
-    return _FORMS[form](samples, terms)
+    if error is None:
+        return _FORMS[form](samples, terms)
+    if not 0 < error < 1:
+        raise InputError(f"the error of factors must lie between 0 and 1, not {error}")
+    return _fewest(samples, form, terms, error)
 
 
 class _Samples:
@@ -283,7 +296,78 @@ def _normalised(samples: _Samples, terms: int) -> Factored:
     return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
 
 
-_FORMS = {"svd": _svd, "symmetric": _symmetric, "normalised": _normalised}
+def _nonnegative(samples: _Samples, terms: int) -> Factored:
+    """The weighted matrix as a product of two that are nowhere negative."""
+    light = np.zeros((terms, samples.channels, samples.side**2))
+    view = np.zeros_like(light)
+    inside = samples.inside
+    for c in range(samples.channels):
+        first = samples.like(c)
+        if first < c:
+            light[:, c], view[:, c] = light[:, first], view[:, first]
+            continue
+        matrix = samples.matrix(c)
+        if matrix.min() < 0:
+            raise InputError("the non-negative form needs a BRDF that is nowhere negative; use the form 'svd'")
+        g, h = nonnegative_factors(matrix, *_largest_singular(matrix, terms))
+        light[:, c, inside] = (g / samples.light[:, None]).T
+        view[:, c, inside] = (h / samples.view[:, None]).T
+        for maps, weighted, swapped in (
+            (light, samples.view[:, None] * h, False),
+            (view, samples.light[:, None] * g, True),
+        ):
+            products = samples.times(c, samples.rest, weighted, swapped=swapped)
+            gram = (h.T @ h) if not swapped else (g.T @ g)
+            maps[:, c, ~inside] = nonnegative_rows(products, gram, np.zeros_like(products)).T
+    return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
+
+
+_FORMS = {"svd": _svd, "symmetric": _symmetric, "normalised": _normalised, "nonnegative": _nonnegative}
+
+
+def _fewest(samples: _Samples, form: Form, terms: int, error: float) -> Factored | Symmetric:
+    """The factors of the fewest terms whose error is small enough."""
+    whole = _FORMS[form](samples, terms)
+    errors = _errors(samples, whole)
+    if errors[-1] > error:
+        raise InputError(
+            f"{terms} terms leave an error of {100 * errors[-1]:.2g} %, more than {100 * error:.2g} %; allow more"
+        )
+    if form != "nonnegative":  # whose first terms are not those of fewer
+        return jax.tree.map(lambda maps: maps[: int(np.argmax(errors <= error)) + 1], whole)
+    low, high = 0, terms
+    while high - low > 1:
+        middle = (low + high) // 2
+        found = _nonnegative(samples, middle)
+        if _errors(samples, found)[-1] > error:
+            low = middle
+        else:
+            high, whole = middle, found
+    return whole
+
+
+def _errors(samples: _Samples, factors: Factored | Symmetric) -> np.ndarray:
+    """Relative weighted error of the first 1, 2, … products, of the channel where it is largest: [k]."""
+    maps = (
+        (factors.maps, factors.signs[..., None, None] * factors.maps)
+        if isinstance(factors, Symmetric)
+        else (
+            factors.light_maps,
+            factors.view_maps,
+        )
+    )
+    errors = np.zeros((samples.channels, factors.terms))
+    for c in range(samples.channels):
+        matrix = samples.matrix(c)
+        g, h = (
+            np.asarray(side, float).reshape(*side.shape[:2], -1)[:, c, samples.inside] * weight
+            for side, weight in zip(maps, (samples.light, samples.view), strict=True)
+        )
+        square = np.vdot(matrix, matrix)
+        along = np.cumsum(np.sum((g @ matrix) * h, axis=1))
+        gram = np.cumsum(np.cumsum((g @ g.T) * (h @ h.T), axis=0), axis=1).diagonal()
+        errors[c] = np.sqrt(np.maximum(square - 2 * along + gram, 0) / max(square, np.finfo(float).tiny))
+    return errors.max(axis=0)
 
 
 def _roots(sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -297,7 +381,8 @@ def _asymmetry(matrix: np.ndarray, rows: int = 256) -> float:
     """Largest |M − Mᵀ| over largest |M|."""
     starts = range(0, len(matrix), rows)
     apart = max(np.abs(matrix[s : s + rows] - matrix[:, s : s + rows].T).max() for s in starts)
-    return apart / max(np.abs(matrix[s : s + rows]).max() for s in starts)
+    largest = max(np.abs(matrix[s : s + rows]).max() for s in starts)
+    return apart / largest if largest else 0.0
 
 
 def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -320,7 +405,7 @@ def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.nd
 
 def _largest_eigen(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     """(eigenvalues [k], vectors [n, k]) by falling magnitude, with signs such that every vector sums to at least 0."""
-    if terms > len(matrix) // 4:
+    if terms > len(matrix) // 4 or not matrix.any():
         value, q = scipy.linalg.eigh(matrix)
     else:
         value, q = scipy.sparse.linalg.eigsh(matrix, terms, v0=_start(matrix))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxrelight.brdf import factors as module
+from jaxrelight.brdf import nonnegative
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factors import COSINE, Factored, Symmetric, factor
@@ -322,7 +323,7 @@ def test_a_constant_is_exact_in_every_form(form):
 
 
 def test_an_unknown_form_and_a_matrix_too_large_are_refused():
-    with pytest.raises(InputError, match="form of factors is 'cur'; known are svd, symmetric, normalised"):
+    with pytest.raises(InputError, match="form of factors is 'cur'; known are svd, symmetric, normalised, nonnegative"):
         factor(GLOSSY, 1, SIDE, form="cur")  # pyright: ignore
     with pytest.raises(InputError, match=r"resolution 256 need 9\.9 GiB; ask for at most 128"):
         factor(GLOSSY, 1, 256)
@@ -374,3 +375,73 @@ def test_peaks_at_the_horizon_do_not_spoil_what_lies_before_it():
     weight = (z[0] ** 2 * z[1])[:, None]
     error = np.sum(weight * (np.sum(light * view, axis=1) - exact) ** 2) / np.sum(weight * exact**2)
     assert np.sqrt(error) < 0.3
+
+
+# ---- non-negative ----------------------------------------------------------------------------------------------------
+
+
+@PARAMETRISATIONS
+def test_the_non_negative_form_is_never_negative_and_nearly_as_near(parametrisation):
+    omega, inside = parametrisation.directions(SIDE)
+    omega = omega[inside]
+    exact = np.asarray(evaluate(ANISOTROPIC, *[jnp.asarray(omega, jnp.float32)] * 2), float)
+
+    def error(form, terms):
+        factors = factor(ANISOTROPIC, terms, SIDE, form=form, parametrisation=parametrisation, cosine=(0.5, 0.5))
+        weight = np.sqrt(parametrisation.measure(SIDE)[inside] * omega[:, 2])
+        apart = (product(factors, omega) - exact) * np.multiply.outer(weight, weight)[..., None]
+        return np.linalg.norm(apart), factors
+
+    errors = []
+    for terms in (1, 2, 4, 8):
+        best, _ = error("svd", terms)
+        found, factors = error("nonnegative", terms)
+        assert np.asarray(factors.light_maps).min() >= 0
+        assert np.asarray(factors.view_maps).min() >= 0
+        assert best * (1 - 1e-4) <= found < 1.6 * best
+        errors.append(found)
+    # The first singular vectors of a non-negative matrix are non-negative.
+    assert errors[0] == pytest.approx(error("svd", 1)[0], rel=1e-3)
+    assert (np.diff(errors) < 0).all()
+
+
+def test_the_non_negative_form_finds_a_matrix_that_is_one():
+    """Against a product of known non-negative matrices of rank 3."""
+    rng = np.random.default_rng(0)
+    g, h = rng.random((2, 40, 3)) ** 4
+    matrix = g @ h.T
+    found_g, found_h = nonnegative.nonnegative_factors(matrix, *module._largest_singular(matrix, 3))
+    assert np.linalg.norm(found_g @ found_h.T - matrix) < 0.01 * np.linalg.norm(matrix)
+    np.testing.assert_allclose(np.linalg.norm(found_g, axis=0), np.linalg.norm(found_h, axis=0))
+
+
+def test_the_non_negative_form_of_nothing_and_of_what_is_negative():
+    black = factor(lobe_sum(0, [lobe([-1, -1, 1], 3, peak=0)]), 2, SIDE, form="nonnegative")
+    assert not np.any(black.light_maps)
+    with pytest.raises(InputError, match="nowhere negative"):
+        factor(_OneWay(-jnp.ones(3)), 1, SIDE, form="nonnegative")
+
+
+# ---- by error --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["svd", "symmetric", "nonnegative"])
+def test_as_few_terms_as_an_error_needs(form):
+    omega, _ = disc(SIDE)
+    exact = sampled(GLOSSY, SIDE)
+
+    def error(factors):
+        return np.max(np.linalg.norm(product(factors, omega) - exact, axis=(0, 1)) / np.linalg.norm(exact, axis=(0, 1)))
+
+    found = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.1)
+    assert 1 < found.terms < 20
+    assert error(found) <= 0.1001
+    assert error(factor(GLOSSY, found.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.0999
+
+
+def test_an_error_that_is_not_reached_is_told():
+    with pytest.raises(InputError, match=r"2 terms leave an error of \d+ %, more than 0.1 %; allow more"):
+        factor(GLOSSY, 2, SIDE, error=0.001)
+    with pytest.raises(InputError, match="must lie between 0 and 1, not 5"):
+        factor(GLOSSY, 2, SIDE, error=5)
+    assert factor(lambert(0.5), 2, SIDE, error=0.001).terms == 1
