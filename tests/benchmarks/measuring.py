@@ -180,7 +180,8 @@ def prepare_rays(tracer, points: Sequence[np.ndarray], resolution: int) -> Rays:
     positions, normals, face_normals = points
     vectors = cubemap.directions(resolution).astype(np.float32)
     lifted = np.asarray(positions + OFFSET * face_normals, np.float32)
-    above = [np.flatnonzero(normal @ vectors.T > 0) for normal in np.asarray(normals, np.float32)]
+    by_axis = np.ascontiguousarray(vectors.T)  # as the stage has them, so that the same few are rounded to 0
+    above = [np.flatnonzero(normal @ by_axis > 0) for normal in np.asarray(normals, np.float32)]
     counts = np.array([len(rays) for rays in above])
     return Rays(tracer._scene, np.repeat(lifted, counts, axis=0), vectors[np.concatenate(above)], np.cumsum(counts))
 
