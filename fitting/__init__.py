@@ -1,0 +1,1 @@
+"""Fits of measured reflectance that feed the kernels of jaxrelight."""
