@@ -1,6 +1,6 @@
 """RGL's .bsdf files: the adaptive parametrisation of Dupuy and Jakob (2018) in a container of named arrays.
 
-12 bytes "tensor_file\\0", version 1.0, the number of fields; for each its name, dimensions, type, place and shape;
+The 12 bytes of `MAGIC`, version 1.0, the number of fields; for each its name, dimensions, type, place and shape;
 then the arrays, little-endian, one after the other, each starting at a multiple of eight bytes.
 """
 
