@@ -4,7 +4,7 @@ The public names, each loaded when it is first used:
 
     scenes      load_scene, Scene, Part, Camera, Environment, environment, load_environment,
                 Mesh, load_mesh, plane, sphere, box
-    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, factor
+    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor
     transport   Settings, precompute, load, exact, rebake
     lighting    Relighter
     images      read_image, write_image, tone_map, image_error
@@ -22,6 +22,7 @@ _HOMES = {
     "lights.environment": ("Environment", "environment", "load_environment"),
     "brdf.lobes": ("lambert", "phong", "lobe", "lobe_sum"),
     "brdf.ashikhmin_shirley": ("ashikhmin_shirley",),
+    "brdf.files": ("load_brdf",),
     "brdf.factors": ("factor",),
     "transport.settings": ("Settings",),
     "transport.precompute": ("precompute",),

@@ -11,6 +11,7 @@ import numpy as np
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.material import Material, as_material, textured_lambert, textured_phong
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.errors import InputError
@@ -88,16 +89,17 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     tables = {name: named.table(name) for name in named.names()}
     terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
     materials: dict[str, Brdf | Material] = {}
-    mixtures = {}
+    mixtures, assumptions = {}, []
     for name, table in tables.items():
         if table.has("type") and table.text("type") == "mixture":
             mixtures[name] = table
         else:
-            materials[name] = _material(table, path.parent)
+            materials[name], notes = _material(table, path.parent)
+            assumptions += [f"material {name}: {note}" for note in notes]
     plain = dict(materials)
     for name, table in mixtures.items():
         materials[name] = _mixture(table, path.parent, plain)
-    parts, assumptions = [], []
+    parts = []
     for table in root.tables("mesh"):
         made, found, notes = _parts(table, path.parent, materials)
         parts += made
@@ -360,8 +362,9 @@ def _normal_map(table: _Table, folder: pathlib.Path) -> Texture | None:
     return _colour(table, "normal_map", folder, data=True) if table.has("normal_map") else None
 
 
-def _material(table: _Table, folder: pathlib.Path) -> Brdf | Material:
-    kind = table.text("type")
+def _material(table: _Table, folder: pathlib.Path) -> tuple[Brdf | Material, list[str]]:
+    """A material, and what was mended or approximated in its file."""
+    kind, read = table.text("type"), []
     try:
         if kind == "lambert" and isinstance(table.get("albedo"), str):
             brdf = textured_lambert(_colour(table, "albedo", folder))
@@ -379,15 +382,21 @@ def _material(table: _Table, folder: pathlib.Path) -> Brdf | Material:
             brdf = lobes.lobe_sum(_not_negative(table, "diffuse"), made)
         elif kind == "ashikhmin_shirley":
             brdf = ashikhmin_shirley(table.channels("kd"), table.channels("ks"), table.number("nu"), table.number("nv"))
-        elif kind in ("measured", "fitted", "sbrdf"):
-            raise InputError(f"type '{kind}' is not supported yet; use lambert, phong, lafortune or ashikhmin_shirley")
+        elif kind == "measured":
+            measured = load_brdf(folder / table.text("file"))
+            brdf, read = measured.brdf, list(measured.notes)
+        elif kind in ("fitted", "sbrdf"):
+            raise InputError(
+                f"type '{kind}' is not supported yet; use lambert, phong, lafortune, ashikhmin_shirley or measured"
+            )
         else:
-            raise InputError(f"type '{kind}' is not known; known are lambert, phong, lafortune, ashikhmin_shirley")
+            known = "lambert, phong, lafortune, ashikhmin_shirley, measured"
+            raise InputError(f"type '{kind}' is not known; known are {known}")
     except InputError as error:
         raise _within(table, error) from None
     bumps = _normal_map(table, folder)
     table.finish()
-    return brdf if bumps is None else Material(as_material(brdf).components, bumps)
+    return (brdf if bumps is None else Material(as_material(brdf).components, bumps)), read
 
 
 def _within(table: _Table, error: InputError) -> InputError:

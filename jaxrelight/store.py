@@ -7,6 +7,7 @@
       visibility-KEY/          one bit for each direction of each receiver
       factors-KEY/             of a BRDF
       texture-KEY/             pixels
+      table-KEY/               a long array of a measured BRDF
       transport-KEY/           kept coefficients, energies
         layout.json            names, shapes and types of the arrays
         000000, 000001 …       the arrays of one group of receivers each
@@ -218,6 +219,7 @@ def layers_of(header: Mapping) -> list[str]:
     named = [header["geometry"], header["visibility"], (header["environment"] or {}).get("pixels")]
     for material in header["materials"]:
         named += [material.get(key) for key in ("factors", "transport", "normal_map")] + material["weight"]
+        named += [entry.get("layer") for entry in material["brdf"]["arrays"].values()]
     return [name for name in named if isinstance(name, str)]
 
 

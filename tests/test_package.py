@@ -49,6 +49,7 @@ PUBLIC = {
     "keep_compilations",
     "lambert",
     "load",
+    "load_brdf",
     "load_environment",
     "load_mesh",
     "load_scene",

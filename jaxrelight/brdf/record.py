@@ -1,30 +1,40 @@
-"""BRDFs as JSON: what a store keeps of a material."""
+"""BRDFs as JSON: what a store keeps of a material. Long arrays are kept elsewhere, under a name."""
 
 import dataclasses
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.tabulated import Tabulated
 
-_KINDS = {kind.__name__: kind for kind in (LobeSum, AshikhminShirley)}
+_KINDS = {kind.__name__: kind for kind in (Adaptive, AshikhminShirley, LobeSum, Tabulated)}
+# Numbers of an array that JSON is to hold at most.
+_LONGEST = 4096
 
 
-def to_record(brdf: Brdf) -> dict:
-    """The kind of a BRDF and its arrays as nested lists, exact for float32."""
+def to_record(brdf: Brdf, keep: Callable[[np.ndarray], str]) -> dict:
+    """The kind of a BRDF and its arrays: nested lists, exact for float32, or the name that `keep` gives a long one."""
+
+    def entry(array: np.ndarray) -> dict:
+        if array.size > _LONGEST:
+            return {"layer": keep(array)}
+        return {"shape": list(array.shape), "values": array.ravel().tolist()}
+
     arrays = {field.name: np.asarray(getattr(brdf, field.name)) for field in dataclasses.fields(brdf)}
-    return {
-        "kind": type(brdf).__name__,
-        "arrays": {name: {"shape": list(a.shape), "values": a.ravel().tolist()} for name, a in arrays.items()},
-    }
+    return {"kind": type(brdf).__name__, "arrays": {name: entry(array) for name, array in arrays.items()}}
 
 
-def from_record(record: dict, dtype=jnp.float32) -> Brdf:
-    """The BRDF that `to_record` wrote."""
-    arrays = {
-        name: jnp.asarray(np.reshape(entry["values"], entry["shape"]), dtype)
-        for name, entry in record["arrays"].items()
-    }
-    return _KINDS[record["kind"]](**arrays)
+def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float32) -> Brdf:
+    """The BRDF that `to_record` wrote; `kept` finds a long array by its name."""
+
+    def array(entry: dict) -> np.ndarray:
+        return kept(entry["layer"]) if "layer" in entry else np.reshape(entry["values"], entry["shape"])
+
+    return _KINDS[record["kind"]](
+        **{name: jnp.asarray(array(entry), dtype) for name, entry in record["arrays"].items()}
+    )

@@ -27,7 +27,7 @@ def to_rec709(chromaticities) -> np.ndarray | None:
     values = np.asarray(chromaticities, float)
     if values.shape != (8,) or not np.isfinite(values).all() or np.abs(values).max() > 10:
         raise ValueError("eight numbers are needed")
-    ours, theirs = _to_xyz(np.array(REC709)), _to_xyz(values)
+    ours, theirs = to_xyz(np.array(REC709)), to_xyz(values)
     cones = [_BRADFORD @ matrix.sum(axis=1) for matrix in (ours, theirs)]
     if not (np.abs(cones[1]) > 1e-6).all():
         raise ValueError("white has no luminance")
@@ -36,7 +36,7 @@ def to_rec709(chromaticities) -> np.ndarray | None:
     return None if np.abs(matrix - np.eye(3)).max() < _SAME else matrix
 
 
-def _to_xyz(values: np.ndarray) -> np.ndarray:
+def to_xyz(values: np.ndarray) -> np.ndarray:
     """Columns are X, Y, Z of red, green and blue, so scaled that they add up to white with Y = 1."""
     x, y = values.reshape(4, 2).T
     colours = np.stack([x, y, 1 - x - y])

@@ -154,7 +154,8 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         raise ValueError("materials and meshes do not belong together")
     blocks, operators, total = [], [], 0.0
     for record in header["materials"]:
-        brdf, groups = from_record(record["brdf"]), receivers.groups_of(record["number"])
+        brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
+        groups = receivers.groups_of(record["number"])
         reflection = (
             read_factors(store.open_layer(folder / record["factors"]))
             if record["factors"]
@@ -345,6 +346,11 @@ def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
     if isinstance(entry, str):
         return Texture(jax.device_put(store.open_layer(folder / entry).read("pixels", 0)))
     return constant(entry)
+
+
+def _read_table(folder: pathlib.Path, name: str) -> np.ndarray:
+    """A long array of a BRDF, from its layer."""
+    return store.open_layer(folder / name).read("values", 0)
 
 
 def padded_receivers(count: int) -> int:

@@ -134,10 +134,11 @@ def precompute(
             bump = _write_texture(folder, material.normal_map) if material.normal_map else None
             for component in material.components:
                 brdf = component.brdf
-                reflection, factors = _factors(folder, brdf, terms, settings)
+                described = to_record(brdf, functools.partial(_write_table, folder))
+                reflection, factors = _factors(folder, brdf, described, terms, settings)
                 reflection = reflection or fixed_view(brdf, receivers, groups)
                 weight = [_write_texture(folder, texture) for texture in component.weight]
-                record = {"name": name, "number": number, "brdf": to_record(brdf), "factors": factors, "weight": weight}
+                record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
                 record["normal_map"] = bump
                 if settings.coefficients != "all":
                     # The name of the factors tells their number and their resolution.
@@ -240,11 +241,18 @@ def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
     return _write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
 
 
-def _factors(folder: pathlib.Path, brdf: Brdf, terms: int, settings: Settings) -> tuple[Factored | None, str | None]:
+def _write_table(folder: pathlib.Path, values: np.ndarray) -> str:
+    """The name of the layer of a BRDF's long array."""
+    return _write_once(folder / f"table-{store.key_of(values)}", {"values": values}).folder.name
+
+
+def _factors(
+    folder: pathlib.Path, brdf: Brdf, described: dict, terms: int, settings: Settings
+) -> tuple[Factored | None, str | None]:
     """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant."""
     if settings.receivers == "pixels" and not brdf.is_constant:
         return None, None
-    key = store.key_of(to_record(brdf), terms, settings.factor_resolution, *COSINE)
+    key = store.key_of(described, terms, settings.factor_resolution, *COSINE)
     path = folder / f"factors-{key}"
     with contextlib.suppress(InputError):
         return read_factors(store.open_layer(path)), path.name

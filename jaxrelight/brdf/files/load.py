@@ -1,0 +1,53 @@
+"""A BRDF from a file of any of the formats."""
+
+import dataclasses
+import pathlib
+
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.files.content import Content
+from jaxrelight.brdf.files.cornell import is_cornell, read_cornell
+from jaxrelight.brdf.files.merl import SHAPE, read_merl
+from jaxrelight.brdf.files.rgl import MAGIC, read_rgl
+
+
+@dataclasses.dataclass(frozen=True)
+class BrdfFile:
+    """What a file holds.
+
+    Attributes:
+        brdf: in linear Rec.709.
+        kind: "MERL", "RGL" or "Cornell".
+        notes: what was mended or approximated, one line each.
+    """
+
+    brdf: Brdf
+    kind: str
+    notes: tuple[str, ...]
+
+
+def load_brdf(path: str | pathlib.Path) -> BrdfFile:
+    """Reads a measured BRDF; what it is follows from its content, whatever its name.
+
+    MERL's .binary and Cornell's .brdf become `Tabulated`, RGL's .bsdf becomes `Adaptive`.
+
+    Raises:
+        InputError: if the file cannot be read, is of another format, cut short, too long, contradicts itself or holds
+            numbers that are not finite.
+    """
+    content = Content(path)
+    if content.data.startswith(MAGIC):
+        kind, (brdf, notes) = "RGL", read_rgl(content)
+    elif is_cornell(content):
+        kind, (brdf, notes) = "Cornell", read_cornell(content)
+    elif _is_merl(content):
+        kind, (brdf, notes) = "MERL", read_merl(content)
+    else:
+        raise content.fault("is no BRDF file", "use a MERL .binary, RGL .bsdf or Cornell .brdf file")
+    return BrdfFile(brdf, kind, tuple(notes))
+
+
+def _is_merl(content: Content) -> bool:
+    """Three small positive dimensions; the reader says if they are the wrong ones."""
+    if content.path.suffix.lower() == ".binary":
+        return len(content.data) >= 12
+    return len(content.data) >= 12 and tuple(content.array("<i4", (3,), 0).tolist()) == SHAPE

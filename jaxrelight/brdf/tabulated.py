@@ -1,0 +1,118 @@
+"""Isotropic reflectance in a table over half vector and difference vector (Rusinkiewicz 1998), as MERL's files are."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight import safe
+from jaxrelight.brdf.contract import Brdf
+
+# Below this squared length a projected direction has no azimuth; the one along x is taken.
+_LEAST_SQUARE = 1e-18
+
+
+class HalfDifference(NamedTuple):
+    """Angles of a pair of directions, in radians.
+
+    Attributes:
+        theta_h: from the normal to the half vector.
+        theta_d: from the half vector to either direction.
+        phi_d: of ω_i about the half vector, from the direction of growing θ_h; modulo π, since exchanging the
+            directions turns it by π and changes no reciprocal BRDF.
+    """
+
+    theta_h: Float[Array, ""]
+    theta_d: Float[Array, ""]
+    phi_d: Float[Array, ""]
+
+
+def half_difference(omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> HalfDifference:
+    """The angles; where one is undefined it is 0, with a zero gradient."""
+    half = safe.normalize(omega_i + omega_o)
+    # Far from one another, the sum has fewer digits than the difference.
+    theta_d = jnp.arctan2(safe.norm(omega_i - omega_o), jnp.maximum(safe.norm(omega_i + omega_o), 1e-12))
+    sine, cosine = _unit(half[1], half[0])
+    along = jnp.stack([half[2] * cosine, half[2] * sine, -safe.norm(half[:2])])
+    across = jnp.stack([-sine, cosine, jnp.zeros_like(sine)])
+    difference = (omega_i - omega_o) / 2
+    y, x = jnp.sum(difference * across), jnp.sum(difference * along)
+    sine, cosine = _unit(y, x)
+    phi_d = jnp.mod(jnp.arctan2(sine, cosine), math.pi)
+    return HalfDifference(safe.angle(half, jnp.asarray([0.0, 0.0, 1.0], half.dtype)), theta_d, phi_d)
+
+
+def _unit(y, x):
+    """(sine, cosine) of an azimuth."""
+    square = x * x + y * y
+    defined = square > _LEAST_SQUARE
+    length = jnp.sqrt(jnp.where(defined, square, 1))
+    return jnp.where(defined, y / length, 0), jnp.where(defined, x / length, 1)
+
+
+class Tabulated(Brdf):
+    """f at θ_h = ((h + ½)/n_h)² π/2, θ_d = (d + ½)/n_d · π/2 and φ_d = (p + ½)/n_p · π, trilinear between them.
+
+    Linear in √θ_h, θ_d and φ_d, periodic in φ_d, constant beyond the first and last entries of the other two.
+    Reciprocal and isotropic by its coordinates.
+    """
+
+    values: Float[Array, "h d p c"]
+
+    def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
+        """f(ω_i, ω_o) of every channel."""
+        entries, weights = corners(half_difference(omega_i, omega_o), self.values.shape[:3])
+        flat = self.values.reshape(-1, self.channels)
+        return weights @ flat.at[entries].get(mode="promise_in_bounds")
+
+    @property
+    def channels(self) -> int:
+        """c, the number of colour channels."""
+        return self.values.shape[3]
+
+    @property
+    def is_constant(self) -> bool:
+        """Never."""
+        return False
+
+
+def corners(angles: HalfDifference, shape: tuple[int, int, int]) -> tuple[Float[Array, "8"], Float[Array, "8"]]:
+    """The eight entries around a pair of directions, numbered in the order h, d, p, and their weights."""
+    n_h, n_d, n_p = shape
+    # Within half an entry of θ_h = 0 the root has no finite slope, and the table no other entry to go to.
+    least = (0.5 / n_h) ** 2
+    h, to_h = _between(jnp.sqrt(jnp.maximum(angles.theta_h * (2 / math.pi), least)) * n_h - 0.5, n_h)
+    d, to_d = _between(angles.theta_d * (2 / math.pi) * n_d - 0.5, n_d)
+    place = angles.phi_d * (n_p / math.pi) - 0.5
+    p = jnp.floor(place)
+    to_p, p = place - p, p.astype(jnp.int32) % n_p
+    entries, weights = [], []
+    for row, weight_h in ((h, 1 - to_h), (jnp.minimum(h + 1, n_h - 1), to_h)):
+        for column, weight_d in ((d, 1 - to_d), (jnp.minimum(d + 1, n_d - 1), to_d)):
+            for layer, weight_p in ((p, 1 - to_p), ((p + 1) % n_p, to_p)):
+                entries.append((row * n_d + column) * n_p + layer)
+                weights.append(weight_h * weight_d * weight_p)
+    return jnp.stack(entries), jnp.stack(weights)
+
+
+def _between(place, count: int):
+    """The entry below a place, and how far it is to the next; clamped at both ends."""
+    place = jnp.clip(place, 0, count - 1)
+    below = jnp.minimum(jnp.floor(place), max(count - 2, 0))
+    return below.astype(jnp.int32), place - below
+
+
+def entry_angles(shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """θ_h [h], θ_d [d] and φ_d [p] of a table's entries."""
+    h, d, p = ((np.arange(count) + 0.5) / count for count in shape)
+    return h**2 * (np.pi / 2), d * (np.pi / 2), p * np.pi
+
+
+def least_cosine(shape: tuple[int, int, int]) -> Float[np.ndarray, "h d p"]:
+    """Of the lower one of an entry's two directions with the normal: not positive where one is below the surface."""
+    theta_h, theta_d, phi_d = entry_angles(shape)
+    upright = np.cos(theta_h)[:, None] * np.cos(theta_d)
+    leaning = np.sin(theta_h)[:, None] * np.sin(theta_d)
+    return upright[..., None] - np.abs(leaning[..., None] * np.cos(phi_d))
