@@ -152,10 +152,19 @@ def factor(
             return Symmetric(jnp.sqrt(jnp.abs(value)), jnp.sign(value[:, :, 0, 0]), parametrisation)
         return Factored(jnp.ones_like(value[:, :1]), value, parametrisation)
     samples = _Samples(brdf, parametrisation, resolution, cosine)
-    count = len(samples.omega)
+    check_terms(terms, resolution, parametrisation)
+    return _FORMS[form](samples, terms)
+
+
+def check_terms(terms: int, resolution: int, parametrisation: Parametrisation = DISC) -> None:
+    """Finds out, before long work, whether maps have enough directions for so many terms.
+
+    Raises:
+        InputError: if they have not.
+    """
+    count = int(parametrisation.directions(resolution)[1].sum())
     if not 1 <= terms <= count:
         raise InputError(f"{terms} terms cannot be had from {count} directions; ask for fewer")
-    return _FORMS[form](samples, terms)
 
 
 class _Samples:
