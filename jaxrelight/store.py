@@ -151,7 +151,7 @@ class Layer:
             InputError: names the first file that is missing or not what was written.
         """
         for group in range(self.groups):
-            self._read(group, [])
+            self._read(group, list(self.arrays))
 
     def _read(self, group: int, names: list[str]) -> dict[str, np.ndarray]:
         path = self._path(group)

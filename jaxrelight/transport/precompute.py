@@ -106,7 +106,9 @@ def precompute(
         bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
         receivers = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
         if not receivers.count:
-            raise InputError(f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices")
+            raise InputError(
+                f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices"
+            )
         _make_folder(folder)
         geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
 

@@ -22,7 +22,11 @@ COMMANDS = "demo", "render", "precompute", "relight", "info"
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["info", "none.toml"], 1, "jaxrelight: none.toml: cannot be read as a scene: No such file or directory; check the path\n"),
+        (
+            ["info", "none.toml"],
+            1,
+            "jaxrelight: none.toml: cannot be read as a scene: No such file or directory; check the path\n",
+        ),
         (["info", "scene.toml", "--bogus"], 2, "--bogus"),
         (["info", "scene.toml", "--json"], 0, ""),
     ],

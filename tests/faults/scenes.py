@@ -262,7 +262,7 @@ def _meshes() -> dict[str, Fault]:
         "tangents without coordinates": _fault(
             'materials = { steel = "paper" }', 'tangents = "uv"', "needs texture coordinates, which 'steel'"
         ),
-        "mesh file missing": _fault(card, 'file = "none.ply"', "number 3", "none.ply: cannot be read", "check the path"),
+        "mesh file missing": _fault(card, 'file = "none.ply"', "number 3", "none.ply: cannot be read", "check the"),
         "mesh file empty": _fault(card, 'file = "empty.obj"', "number 3", "empty.obj: empty", "export a triangle mesh"),
         "mesh file a folder": _fault(card, 'file = "folder.obj"', "folder.obj: cannot be read", "not a regular file"),
         "mesh file without name": _fault(card, 'file = ""', "number 3", "unknown mesh format ''; use .ply"),

@@ -4,9 +4,12 @@ import os
 import pathlib
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from jaxrelight.images import write_image
 from tests.commands.running import run
 from tests.faults import scenes
 
@@ -44,12 +47,22 @@ resolution = 2
 material = "gloss"
 """
 )
-# All else being equal, every layer of it has another name, and fewer groups.
-OTHER = SCENE.replace("resolution = 12", "resolution = 3").replace("0.1\nspecular", "0.2\nspecular")
+# Every kind of layer has files in it that the other store has not: shapes, numbers of groups and contents differ.
+OTHER = (
+    SCENE.replace("resolution = 12", "resolution = 3")
+    .replace("height = 8", "height = 60")
+    .replace("diffuse = 0.1", "diffuse = 0.2\nterms = 3")
+    .replace('"sky.exr"', '"small.exr"')
+    .replace('"wood.png"', '"small.exr"')
+)
 _DIALS = ("--resolution", 4, "--coefficients", 8, "--factor-resolution", 8, "--terms", 2)
-KINDS = "environment", "factors", "geometry", "texture", "transport", "visibility"
+# Nothing is kept but visibility, from which every light bakes anew.
+EXACT = ("--receivers", "pixels", "--coefficients", "all")
+_KINDS = "environment", "factors", "geometry", "texture", "transport", "visibility"
+EXACT_FILES = "visibility/layout.json", "visibility/last group"
+FILES = ("store.json", *(f"{kind}/{name}" for kind in _KINDS for name in ("layout.json", "last group")))
 
-Harm = Callable[[pathlib.Path, pathlib.Path], None]
+Harm = Callable[[pathlib.Path, pathlib.Path], object]
 
 
 @dataclass(frozen=True)
@@ -89,6 +102,7 @@ class Damage:
 def prepare(folder: pathlib.Path, *options) -> Sound:
     """A sound store, another of a like scene, and the first one's picture."""
     scenes.prepare(folder)
+    write_image(folder / "small.exr", np.random.default_rng(1).random((4, 8, 3)))
     for name, text in (("store", SCENE), ("other", OTHER)):
         (folder / f"{name}.toml").write_text(text)
         _succeed("precompute", folder / f"{name}.toml", "-o", folder / name, *_DIALS, *options)
@@ -96,23 +110,18 @@ def prepare(folder: pathlib.Path, *options) -> Sound:
     return Sound(folder, options, (folder / "sound.exr").read_bytes())
 
 
-def damages(sound: Sound) -> Iterator[Damage]:
-    """Every damage to every kind of file that the store has; and those of the store as a whole."""
-    store = sound.folder / "store"
-    kinds = [kind for kind in KINDS if list(store.glob(f"{kind}-*"))]
-    for file in ("store.json", *(f"{kind}/{name}" for kind in kinds for name in ("layout.json", "last group"))):
-        for name, harm in _HARMS.items():
-            # What was kept is read; visibility only by whoever bakes.
-            unread = file == "visibility/last group" and "all" not in sound.options
-            yield Damage(
-                f"{file} {name}",
-                _on(file, harm),
-                relit=unread and "without permission" not in name,
-                mended=name != "replaced by a folder",
-            )
-    for kind in kinds:
-        yield Damage(f"{kind} removed", lambda copy, _, kind=kind: shutil.rmtree(_layer(copy, kind)))
-    yield from _WHOLE
+def damages_to(file: str, sound: Sound) -> Iterator[Damage]:
+    """Every damage to one file of a store, one of `FILES`."""
+    for name, harm in _HARMS.items():
+        # Of visibility, all must be there; it is read by whoever bakes.
+        unread = file == "visibility/last group" and sound.options != EXACT and name != "removed"
+        yield Damage(f"{file} {name}", _on(file, harm), relit=unread, mended=name != "replaced by a folder")
+
+
+def wrong(damages: Iterable[Damage], sound: Sound) -> list[str]:
+    """Those that do not end as promised, and how."""
+    found = ((damage.name, wrong_with(damage, sound)) for damage in damages)
+    return [f"{name}: {fault}" for name, fault in found if fault]
 
 
 def wrong_with(damage: Damage, sound: Sound) -> str:
@@ -125,7 +134,7 @@ def wrong_with(damage: Damage, sound: Sound) -> str:
         wrong = _relighting(copy, picture, sound, damage.relit)
         wrong = wrong or _ends(damage.told, copy, "info", copy)
         damaged = _files(copy)
-        wrong = wrong or _ends(damage.mended, copy, "precompute", _scene(sound), "-o", copy, *_DIALS, *sound.options)
+        wrong = wrong or _ends(damage.mended, copy, *precompute(sound, copy))
         if not wrong and damage.mended:
             wrong = _mending(before, damaged, _files(copy)) or _relighting(copy, picture, sound, True)
         return wrong
@@ -136,8 +145,9 @@ def wrong_with(damage: Damage, sound: Sound) -> str:
         picture.unlink(missing_ok=True)
 
 
-def _scene(sound: Sound) -> pathlib.Path:
-    return sound.folder / "store.toml"
+def precompute(sound: Sound, store: pathlib.Path) -> tuple:
+    """The command that makes the sound store at another place."""
+    return ("precompute", sound.folder / "store.toml", "-o", store, *_DIALS, *sound.options)
 
 
 def _relighting(copy: pathlib.Path, picture: pathlib.Path, sound: Sound, good: bool) -> str:
@@ -186,13 +196,16 @@ def _layer(store: pathlib.Path, kind: str) -> pathlib.Path:
 
 
 def _on(file: str, harm: Harm) -> Harm:
-    def found(store: pathlib.Path) -> pathlib.Path:
+    def apply(copy: pathlib.Path, other: pathlib.Path):
         kind, _, name = file.partition("/")
         if not name:
-            return store / file
-        return max(_layer(store, kind).glob("0*")) if name == "last group" else _layer(store, kind) / name
+            return harm(copy / file, other / file)
+        victim = max(_layer(copy, kind).glob("0*")) if name == "last group" else _layer(copy, kind) / name
+        names = "0*" if name == "last group" else name
+        like = (path for layer in other.glob(f"{kind}-*") for path in layer.glob(names))
+        return harm(victim, next(path for path in like if path.read_bytes() != victim.read_bytes()))
 
-    return lambda copy, other: harm(found(copy), found(other))
+    return apply
 
 
 def _change(change: Callable[[bytes], bytes]) -> Harm:
@@ -269,7 +282,7 @@ def _leave_half(old: bool, lost: bool) -> Harm:
             half = path.with_name(f".{path.name}.0123")
             half.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
             if old:
-                os.utime(half, (time.time() - 1000,) * 2)
+                os.utime(half, (time.time() - 1000, time.time() - 1000))
         if lost:
             group.unlink()
 
@@ -301,7 +314,8 @@ def _add_strangers(copy: pathlib.Path, other: pathlib.Path):
     shutil.copytree(_layer(other, "transport"), copy / "transport-copied")
 
 
-_WHOLE = (
+WHOLE = (
+    *(Damage(f"{kind} removed", lambda copy, _, kind=kind: shutil.rmtree(_layer(copy, kind))) for kind in _KINDS),
     Damage("header of format 2", _header(format=2)),
     Damage("header of a later format", _header(format=99)),
     Damage("header without a format", lambda copy, _: (copy / "store.json").write_text("{}")),
