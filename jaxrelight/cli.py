@@ -39,6 +39,13 @@ def main() -> None:
     except InputError as error:
         print(f"jaxrelight: {error}", file=sys.stderr)
         sys.exit(1)
+    except MemoryError:
+        print(
+            "jaxrelight: the memory is used up; lower --width, --height, --resolution or --coefficients, or use a "
+            "simpler mesh",
+            file=sys.stderr,
+        )
+        sys.exit(1)
     except BrokenPipeError:
         # Whoever read the summary has gone, as `head` does; what is left of it goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

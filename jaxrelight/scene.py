@@ -70,14 +70,16 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     """
     path = pathlib.Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8 text"
-        raise InputError(f"{path}: cannot be read as a scene: {reason}") from None
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot be read as a scene: it is not UTF-8 text; save it as that") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read as a scene: {reason}; check the path") from None
     try:
         content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not a TOML file: {error}") from None
+    except (ValueError, RecursionError) as error:  # also of numbers and lists without end
+        raise InputError(f"{path}: not a TOML file: {error}; correct it there") from None
     root = _Table(content, str(path))
     if root.has("light"):
         raise InputError(f"{path}: [[light]] is not supported yet; remove the lights and give an [environment]")
@@ -107,7 +109,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
         assumptions += notes
     root.finish()
     if not parts:
-        raise InputError(f"{path}: the scene has no [[mesh]]")
+        raise InputError(f"{path}: the scene has no [[mesh]]; add one")
     return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions))
 
 
@@ -233,7 +235,7 @@ def _parts(
     """The parts of one [[mesh]], the materials that its file brings, and what was assumed of them."""
     if table.has("file") == table.has("primitive"):
         raise InputError(f"{table.where}: give either 'file' or 'primitive'")
-    name = table.text("file", "") or table.text("primitive")
+    name = table.text("file" if table.has("file") else "primitive")
     short = pathlib.PurePath(name).name
     whole = table.has("material") or table.has("primitive")
     chosen = table.table("materials") if table.has("materials") else None
@@ -359,7 +361,11 @@ def _colour(table: _Table, key: str, folder: pathlib.Path, *, data: bool = False
 
 
 def _normal_map(table: _Table, folder: pathlib.Path) -> Texture | None:
-    return _colour(table, "normal_map", folder, data=True) if table.has("normal_map") else None
+    if not table.has("normal_map"):
+        return None
+    if not isinstance(table.get("normal_map"), str):
+        table.array("normal_map", (3,))  # a colour, not a grey
+    return _colour(table, "normal_map", folder, data=True)
 
 
 def _material(table: _Table, folder: pathlib.Path) -> tuple[Brdf | Material, list[str]]:

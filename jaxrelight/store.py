@@ -20,10 +20,12 @@ made again.
 
 import contextlib
 import dataclasses
+import errno
 import hashlib
 import json
 import os
 import pathlib
+import re
 import time
 import uuid
 from collections.abc import Iterable, Mapping
@@ -143,6 +145,15 @@ class Layer:
                 whole[name][group] = part
         return whole
 
+    def check(self) -> None:
+        """Reads every file, so that damage is found wherever it is.
+
+        Raises:
+            InputError: names the first file that is missing or not what was written.
+        """
+        for group in range(self.groups):
+            self._read(group, list(self.arrays))
+
     def _read(self, group: int, names: list[str]) -> dict[str, np.ndarray]:
         path = self._path(group)
         try:
@@ -153,7 +164,9 @@ class Layer:
         except FileNotFoundError:
             raise InputError(f"{path} is missing; run precompute again: it makes what is missing") from None
         except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+            raise InputError(
+                f"{path}: cannot be read: {error.strerror}; mend that or delete it, then run precompute again"
+            ) from None
         except (ValueError, KeyError, zstandard.ZstdError) as error:
             raise InputError(f"{path}: damaged, {error}; run precompute again: it makes this file anew") from None
         return arrays
@@ -166,8 +179,13 @@ class Layer:
 
 def bytes_on_disk(folder: pathlib.Path) -> int:
     """Those of a layer's files, damaged or not."""
+    total = 0
     with os.scandir(folder) as files:
-        return sum(file.stat().st_size for file in files)
+        for file in files:
+            # What another process was writing may have its final name by now.
+            with contextlib.suppress(FileNotFoundError):
+                total += file.stat(follow_symlinks=False).st_size
+    return total
 
 
 def make_layer(folder: pathlib.Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]], groups: int) -> Layer:
@@ -211,16 +229,27 @@ def open_layer(folder: pathlib.Path) -> Layer:
 def write_header(folder: pathlib.Path, header: Mapping):
     """Writes what belongs together into `store.json`."""
     with _told(folder):
+        _sweep(folder)
         _write_sealed(folder / "store.json", {"format": FORMAT, **header})
 
 
 def layers_of(header: Mapping) -> list[str]:
-    """The names of the layers that a header refers to."""
-    named = [header["geometry"], header["visibility"], (header["environment"] or {}).get("pixels")]
+    """The names of the layers that a header refers to.
+
+    Raises:
+        ValueError: if one is no name of a layer of its kind.
+    """
+    named = [(kind, header[kind]) for kind in ("geometry", "visibility")]
+    named.append(("environment", (header["environment"] or {}).get("pixels")))
     for material in header["materials"]:
-        named += [material.get(key) for key in ("factors", "transport", "normal_map")] + material["weight"]
-        named += [entry.get("layer") for entry in material["brdf"]["arrays"].values()]
-    return [name for name in named if isinstance(name, str)]
+        named += [(kind, material.get(kind)) for kind in ("factors", "transport")]
+        named += [("texture", entry) for entry in (material["normal_map"], *material["weight"])]
+        named += [("table", entry.get("layer")) for entry in material["brdf"]["arrays"].values()]
+    names = [(kind, name) for kind, name in named if isinstance(name, str)]
+    for kind, name in names:
+        if not re.fullmatch(f"{kind}-[0-9a-f]{{16}}", name):
+            raise ValueError(f"'{name}' is no name of a layer of {kind}")
+    return [name for _, name in names]
 
 
 def read_header(folder: pathlib.Path) -> dict:
@@ -289,6 +318,10 @@ def _told(folder: pathlib.Path):
     try:
         yield
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+        # Files are renamed to the place that they are meant for.
+        place = error.filename2 or folder
         raise InputError(
-            f"{folder}: cannot be written: {error.strerror}; what is finished is kept, make room and run again"
+            f"{place}: cannot be written: {error.strerror}; what is finished is kept, "
+            f"{'make room' if full else 'mend that or delete it'} and run again"
         ) from None

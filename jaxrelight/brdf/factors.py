@@ -161,14 +161,23 @@ def factor(
             return Symmetric(jnp.sqrt(jnp.abs(value)), jnp.sign(value[:, :, 0, 0]), parametrisation)
         return Factored(jnp.ones_like(value[:, :1]), value, parametrisation)
     samples = _Samples(brdf, parametrisation, resolution, cosine)
-    count = len(samples.omega)
-    if not 1 <= terms <= count:
-        raise InputError(f"{terms} terms cannot be had from {count} directions; ask for fewer")
+    check_terms(terms, resolution, parametrisation)
     if error is None:
         return _FORMS[form](samples, terms)
     if not 0 < error < 1:
         raise InputError(f"the error of factors must lie between 0 and 1, not {error}")
     return _fewest(samples, form, terms, error)
+
+
+def check_terms(terms: int, resolution: int, parametrisation: Parametrisation = DISC) -> None:
+    """Finds out, before long work, whether maps have enough directions for so many terms.
+
+    Raises:
+        InputError: if they have not.
+    """
+    count = int(parametrisation.directions(resolution)[1].sum())
+    if not 1 <= terms <= count:
+        raise InputError(f"{terms} terms cannot be had from {count} directions; ask for fewer")
 
 
 class _Samples:

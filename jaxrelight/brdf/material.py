@@ -34,9 +34,12 @@ class Material:
 
     @property
     def needs_uv(self) -> bool:
-        """Whether it can only be put on a mesh that has texture coordinates."""
+        """Whether it can only be put on a mesh that has texture coordinates.
+
+        A normal map needs them even where it is constant: it bends normals along the directions of growing u and v.
+        """
         textures = [texture for component in self.components for texture in component.weight]
-        return any(not texture.is_constant for texture in [*textures, *([self.normal_map] if self.normal_map else [])])
+        return self.normal_map is not None or not all(texture.is_constant for texture in textures)
 
 
 def as_material(surface: Brdf | Material) -> Material:

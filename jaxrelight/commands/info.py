@@ -42,6 +42,8 @@ def _store(path: pathlib.Path) -> dict:
 
     header = store.read_header(path)
     transport, used = load(path, header), set(store.layers_of(header))
+    for name in sorted(used):
+        store.open_layer(path / name).check()
     layers = sorted(folder for folder in path.iterdir() if folder.is_dir())
     terms = collections.Counter()
     for block in transport.blocks:

@@ -91,6 +91,49 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
         raise OSError(str(fault).strip().split('". ')[-1]) from fault
 
 
+def read_channels(path: Path, max_pixels: int) -> list[dict[str, np.ndarray]]:
+    """Read the channels of every part of an EXR file that holds other things than colours: `[h, w]` by name.
+
+    Raises:
+        InputError: As `read_exr` does, but for what colours a file has.
+    """
+    with path.open("rb") as file:
+        if file.read(4) != _MAGIC:
+            raise InputError(f"{path}: not an OpenEXR file although it is named so; write it again")
+        file.seek(0)
+        _check_table(path, file.read(_MOST_HEADER), os.fstat(file.fileno()).st_size)
+    headers = [header for header, _ in _load(path, header_only=True)]
+    for header in headers:
+        _check_header(path, header, max_pixels)
+    parts = _load(path, header_only=False)
+    sizes = [_size(header["dataWindow"]) for header in headers]
+    if len(parts) != len(headers) or any(
+        plane.shape != size for size, (_, planes) in zip(sizes, parts, strict=True) for plane in planes.values()
+    ):
+        raise InputError(f"{path}: pixels are missing or damaged; the file may be cut short, write or copy it again")
+    return [{name: plane.astype(np.float32) for name, plane in planes.items()} for _, planes in parts]
+
+
+def write_channels(path: Path, parts: Sequence[tuple[str, dict[str, np.ndarray]]]) -> None:
+    """Write named parts of named channels `[h, w]` as float32, ZIP compressed, without loss.
+
+    Raises:
+        OSError: The file could not be written.
+    """
+    import OpenEXR
+
+    made = []
+    for name, channels in parts:
+        planes = {channel: np.ascontiguousarray(plane, np.float32) for channel, plane in channels.items()}
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "name": name}
+        made.append(OpenEXR.Part(header, planes, name))
+    try:
+        with _quiet():
+            OpenEXR.File(made).write(str(path))
+    except Exception as fault:  # the library has no exception type of its own
+        raise OSError(str(fault).strip().split('". ')[-1]) from fault
+
+
 def _load(path: Path, *, header_only: bool) -> list[tuple[dict, dict]]:
     """Header, with the channels' names, and pixels by channel of each part that the library could read."""
     import OpenEXR

@@ -143,6 +143,7 @@ def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed 
 
 
 def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transport:
+    store.layers_of(header)  # refuses names of anything else before any is opened
     settings = Settings(**header["settings"])
     camera = Camera(**header["camera"])
     placed = placed or _placed(folder, header, camera, settings)
@@ -166,6 +167,8 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
             operators.append(_streamed(settings, visibility, receivers, groups, reflection))
         else:
             layer = _whole_layer(folder / record["transport"])
+            if layer.groups != len(groups):
+                raise InputError(f"{layer.folder}: geometry and transport do not belong together; precompute again")
             arrays = layer.read_all()
             operators.append(_sparse_rows(layer.folder, arrays["indices"], arrays["values"], settings))
             dropped = arrays["dropped"].reshape(-1, reflection.channels)

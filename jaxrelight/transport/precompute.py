@@ -20,7 +20,7 @@ from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import COSINE, Factored, factor
+from jaxrelight.brdf.factors import COSINE, Factored, check_terms, factor
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
@@ -93,21 +93,24 @@ def precompute(
                     f"{scene.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
                     "needs; export it with them, or give it another material"
                 )
+            _check_terms(scene, part.material, settings)
         surfaces = join([part.mesh for part in scene.parts])
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
         shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
         geometry_key = store.key_of(shapes, surfaces.two_sided)
         folder = pathlib.Path(folder or store.default_folder(geometry_key))
-        _make_folder(folder)
         # No ray depends on texture coordinates.
         whole_key = store.key_of(geometry_key, surfaces.uv, surfaces.uv_tangents)
-        geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
         tracer = Tracer(surfaces)
         bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
         receivers = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
         if not receivers.count:
-            raise InputError(f"{scene.name}: the camera sees no surface; there is nothing to precompute")
+            raise InputError(
+                f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices"
+            )
+        _make_folder(folder)
+        geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
 
     camera_key = dataclasses.astuple(scene.camera) if settings.receivers == "pixels" else None
     bumps_key = [whole_key, *(np.asarray(b.pixels) if b else None for b in bumps)] if any(bumps) else None
@@ -192,6 +195,16 @@ class _timed:  # noqa: N801 - reads as a verb
 def _plain(value):
     """Numbers as JSON knows them."""
     return jax.tree.map(lambda x: x.item() if isinstance(x, np.generic) else x, value)
+
+
+def _check_terms(scene: Scene, name: str, settings: Settings):
+    """Refuses a number of factors that cannot be had, before any ray."""
+    glossy = any(not part.brdf.is_constant for part in as_material(scene.materials[name]).components)
+    if glossy and settings.receivers == "vertices":
+        try:
+            check_terms(scene.terms.get(name, settings.terms), settings.factor_resolution)
+        except InputError as error:
+            raise InputError(f"{scene.name}: material '{name}': {error}") from None
 
 
 def _make_folder(folder: pathlib.Path):

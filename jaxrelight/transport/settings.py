@@ -43,7 +43,8 @@ class Settings:
         require(4 <= n <= 512 and n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
         require(rays in (1, 4, 9, 16, 25), f"visibility samples are {rays}; they must be 1, 4, 9, 16 or 25")
         require(self.terms >= 1, f"terms are {self.terms}; at least 1 is needed")
-        require(self.factor_resolution >= 4, f"factor resolution is {self.factor_resolution}; at least 4 is needed")
+        side = self.factor_resolution
+        require(4 <= side <= 128, f"factor resolution is {side}; it must be from 4 to 128")
         if self.coefficients != "all":
             limit = 6 * n * n
             require(

@@ -1,13 +1,12 @@
 """A folder with a scene, and a way to run commands there."""
 
 import pathlib
-import sys
 
 import numpy as np
 import pytest
 
-from jaxrelight import cli, write_image
-from tests.commands.running import DIALS, SCENE
+from jaxrelight import write_image
+from tests.commands.running import DIALS, SCENE, run
 
 
 @pytest.fixture(autouse=True)
@@ -27,22 +26,10 @@ def folder(tmp_path, monkeypatch) -> pathlib.Path:
     return tmp_path
 
 
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Runs a command in this process: (exit status, standard output, standard error)."""
-
-    def call(*arguments) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["jaxrelight", *map(str, arguments)])
-        status = 0
-        try:
-            cli.main()
-        except SystemExit as stop:
-            status = stop.code
-        captured = capsys.readouterr()
-        assert isinstance(status, int)
-        return status, captured.out, captured.err
-
-    return call
+@pytest.fixture(name="run")
+def _run():
+    """Runs a command in this process."""
+    return run
 
 
 @pytest.fixture

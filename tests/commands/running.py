@@ -1,6 +1,12 @@
 """What tests of the command line run, and what they expect of its output."""
 
+import contextlib
+import io
 import json
+import sys
+from unittest import mock
+
+from jaxrelight import cli
 
 SCENE = """
 [camera]
@@ -30,6 +36,22 @@ resolution = 3
 material = "gloss"
 """
 DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
+
+
+def run(*arguments) -> tuple[int, str, str]:
+    """Runs a command in this process: (exit status, standard output, standard error)."""
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with (
+        mock.patch.object(sys, "argv", ["jaxrelight", *map(str, arguments)]),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        try:
+            cli.main()
+        except SystemExit as stop:
+            status = stop.code
+    assert isinstance(status, int)
+    return status, out.getvalue(), err.getvalue()
 
 
 def summary_of(result: tuple[int, str, str]) -> dict:

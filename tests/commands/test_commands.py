@@ -22,7 +22,11 @@ COMMANDS = "demo", "render", "precompute", "relight", "info"
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["info", "none.toml"], 1, "jaxrelight: none.toml: cannot be read as a scene: No such file or directory\n"),
+        (
+            ["info", "none.toml"],
+            1,
+            "jaxrelight: none.toml: cannot be read as a scene: No such file or directory; check the path\n",
+        ),
         (["info", "scene.toml", "--bogus"], 2, "--bogus"),
         (["info", "scene.toml", "--json"], 0, ""),
     ],
@@ -75,6 +79,15 @@ def test_wrong_command_line(folder, run, arguments):
     assert out == ""
     assert err != ""
     assert {path.name for path in folder.iterdir()} == {"scene.toml", "sky.exr", "other.hdr"}
+
+
+def test_memory_that_does_not_suffice_is_one_line(folder, run, monkeypatch):
+    def take_much(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(stages, "trace_visibility", take_much)
+    assert "the memory is used up; lower --width" in refusal_of(run("render", "scene.toml", "-o", "out.exr", *DIALS))
+    assert not (folder / "out.exr").exists()
 
 
 def test_interruption_says_what_is_kept(folder, run, monkeypatch):

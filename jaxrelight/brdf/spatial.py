@@ -1,0 +1,61 @@
+"""Spatial BRDFs: a Lafortune BRDF of its own in every texel of a map (McAllister 2002 §3)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.texture import Texture
+from jaxrelight.brdf.turned import Turned
+
+
+class SpatialLobes(eqx.Module):
+    """Maps of the parameters of `LobeSum`, whose C and exponents are shared by the channels.
+
+    Row 0 is the top: (u, v) = (0, 1) is the upper left corner, as of a `Texture`.
+
+    Attributes:
+        diffuse: albedo.
+        C: with max|C| = 1 in each lobe.
+        exponent: n.
+        scale: of each lobe at its peak.
+        axis: (cos 2φ, sin 2φ), φ the angle from the tangent to the direction of anisotropy, which π turns into itself.
+    """
+
+    diffuse: Float[Array, "h w c"]
+    C: Float[Array, "h w l 3"]
+    exponent: Float[Array, "h w l"]
+    scale: Float[Array, "h w l c"]
+    axis: Float[Array, "h w 2"]
+
+    @property
+    def lobes(self) -> int:
+        """l, the number of lobes."""
+        return self.C.shape[2]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of texels."""
+        return self.diffuse.shape[:2]
+
+    def at(self, uv: Float[Array, "*p 2"]) -> Turned:
+        """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
+
+        Parameters are interpolated between texels: C by components and then to max|C| = 1 again, exponents by their
+        logarithms, which spread a highlight evenly.
+        """
+        (h, w), l = self.shape, self.lobes
+        logarithm = jnp.log(jnp.maximum(self.exponent, 1e-6))
+        maps = [self.diffuse, self.C, logarithm, self.scale, self.axis]
+        whole = Texture(jnp.concatenate([part.reshape(h, w, -1) for part in maps], axis=-1))
+        flat = jax.vmap(whole.look_up)(uv.reshape(-1, 2)).reshape(*uv.shape[:-1], -1)
+        c = self.diffuse.shape[-1]
+        diffuse, C, logarithm, scale, axis = jnp.split(flat, [c, c + 3 * l, c + 4 * l, c + 4 * l + c * l], axis=-1)
+        C = C.reshape(*C.shape[:-1], l, 1, 3)
+        largest = jnp.max(jnp.abs(C), axis=-1, keepdims=True)
+        C = jnp.where(largest > 0, C / jnp.where(largest > 0, largest, 1), 0)
+        none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
+        angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
+        brdf = LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], l, c))
+        return Turned(brdf, angle)

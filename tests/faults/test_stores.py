@@ -1,0 +1,57 @@
+"""Every damaged store and every full disk ends in one line or the right picture, and loses nothing that is sound."""
+
+import pytest
+
+from tests.faults import full_disks, stores
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> stores.Sound:
+    return stores.prepare(tmp_path_factory.mktemp("stores"))
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory) -> stores.Sound:
+    """A store that is lit from its visibility."""
+    return stores.prepare(tmp_path_factory.mktemp("exact"), *stores.EXACT)
+
+
+@pytest.mark.parametrize("file", stores.FILES)
+def test_damaged_file(sound, file: str):
+    damages = list(stores.damages_to(file, sound))
+    assert len(damages) >= 12
+    assert not stores.wrong(damages, sound)
+
+
+@pytest.mark.parametrize("file", stores.EXACT_FILES)
+def test_damaged_visibility_that_is_lit_from(exact, file: str):
+    assert not stores.wrong(stores.damages_to(file, exact), exact)
+
+
+def test_damage_to_the_whole(sound):
+    assert not stores.wrong(stores.WHOLE, sound)
+
+
+def test_what_is_wrong_is_called_so(sound):
+    """What is promised otherwise than it comes, and damage that nobody could notice."""
+    nothing = stores.Damage("nothing", lambda copy, other: None)
+    assert stores.wrong_with(nothing, sound).startswith("relight: ended with 0")
+    harm = next(iter(stores.damages_to("transport/last group", sound))).harm
+    assert stores.wrong_with(stores.Damage("x", harm, relit=True), sound).startswith("relight: ended with 1")
+    assert stores.wrong_with(stores.Damage("x", harm, told=True), sound).startswith("info: ended with 1")
+    assert stores.wrong_with(stores.Damage("x", harm, mended=False), sound).startswith("precompute: ended with 0")
+
+
+needs_disks = pytest.mark.skipif(bool(full_disks.hindrance()), reason=full_disks.hindrance() or "none")
+
+
+@needs_disks
+@pytest.mark.parametrize("share", full_disks.SHARES)
+def test_disk_that_holds_a_share_of_a_store(sound, share: float):
+    assert not full_disks.wrong_with_store(share, sound)
+
+
+@needs_disks
+@pytest.mark.parametrize("name", full_disks.PICTURES)
+def test_disk_without_room_for_a_picture(sound, name: str):
+    assert not full_disks.wrong_with_picture(name, sound)
