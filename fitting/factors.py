@@ -23,7 +23,7 @@ class Refined:
 
     Attributes:
         factors: the refined ones.
-        before, after: relative root mean square error, weighted as it was minimised, on directions that were not fitted.
+        before, after: relative root mean square error, weighted as it was minimised, on directions not fitted to.
         steps: of the solver, the most of any channel.
     """
 

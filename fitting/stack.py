@@ -108,19 +108,21 @@ def stack_of(
     intensities = np.ones((n, 3)) if intensities is None else _array(name, "light intensities", intensities, (n, 3))
     if not (intensities > 0).all():
         raise InputError(f"{name}: light intensities must be positive")
-    mask = np.ones((height, width), bool) if mask is None else _array(name, "mask", mask, (height, width)) > 0
+    shown = (
+        np.ones((height, width), bool) if mask is None else np.greater(_array(name, "mask", mask, images.shape[1:3]), 0)
+    )
     if normals is not None:
         normals = np.asarray(normals, float)
         if normals.shape != (height, width, 3):
             raise InputError(f"{name}: normals have shape {normals.shape}, not {(height, width, 3)}")
         length = np.linalg.norm(normals, axis=-1)
-        mask = mask & np.isfinite(length) & (length > 0.5)
-        normals = np.where(mask[..., None], normals / np.where(mask, length, 1)[..., None], _AXIS)
-    if not mask.any():
+        shown = shown & np.isfinite(length) & (length > 0.5)
+        normals = np.where(shown[..., None], normals / np.where(shown, length, 1)[..., None], _AXIS)
+    if not shown.any():
         raise InputError(f"{name}: no pixel shows the surface; check the mask and the normals")
-    usable = np.isfinite(images).all(axis=-1) & (images < saturation).all(axis=-1)
+    usable = np.logical_and(np.isfinite(images), images < saturation).all(axis=-1)
     scaled = np.where(usable[..., None], images, 0) / intensities[:, None, None].astype(np.float32)
-    return Stack(scaled, usable, lights, views, mask, normals, name)
+    return Stack(scaled, usable, lights, views, shown, normals, name)
 
 
 def _array(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:

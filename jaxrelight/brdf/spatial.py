@@ -37,7 +37,7 @@ class SpatialLobes(eqx.Module):
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, columns) of texels."""
-        return self.diffuse.shape[:2]
+        return self.diffuse.shape[0], self.diffuse.shape[1]
 
     def at(self, uv: Float[Array, "*p 2"]) -> Turned:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
@@ -45,17 +45,19 @@ class SpatialLobes(eqx.Module):
         Parameters are interpolated between texels: C by components and then to max|C| = 1 again, exponents by their
         logarithms, which spread a highlight evenly.
         """
-        (h, w), l = self.shape, self.lobes
+        h, w, lobes, _ = self.C.shape
         logarithm = jnp.log(jnp.maximum(self.exponent, 1e-6))
         maps = [self.diffuse, self.C, logarithm, self.scale, self.axis]
         whole = Texture(jnp.concatenate([part.reshape(h, w, -1) for part in maps], axis=-1))
         flat = jax.vmap(whole.look_up)(uv.reshape(-1, 2)).reshape(*uv.shape[:-1], -1)
         c = self.diffuse.shape[-1]
-        diffuse, C, logarithm, scale, axis = jnp.split(flat, [c, c + 3 * l, c + 4 * l, c + 4 * l + c * l], axis=-1)
-        C = C.reshape(*C.shape[:-1], l, 1, 3)
+        diffuse, C, logarithm, scale, axis = jnp.split(
+            flat, [c, c + 3 * lobes, c + 4 * lobes, (c + 4) * lobes + c], axis=-1
+        )
+        C = C.reshape(*C.shape[:-1], lobes, 1, 3)
         largest = jnp.max(jnp.abs(C), axis=-1, keepdims=True)
         C = jnp.where(largest > 0, C / jnp.where(largest > 0, largest, 1), 0)
         none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
         angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
-        brdf = LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], l, c))
+        brdf = LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], lobes, c))
         return Turned(brdf, angle)

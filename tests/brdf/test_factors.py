@@ -396,6 +396,7 @@ def test_the_non_negative_form_is_never_negative_and_nearly_as_near(parametrisat
     for terms in (1, 2, 4, 8):
         best, _ = error("svd", terms)
         found, factors = error("nonnegative", terms)
+        assert isinstance(factors, Factored)
         assert np.asarray(factors.light_maps).min() >= 0
         assert np.asarray(factors.view_maps).min() >= 0
         assert best * (1 - 1e-4) <= found < 1.6 * best
