@@ -44,6 +44,20 @@ def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]
     return tuple(Component(part.brdf, (*part.weight, weight)) for part in as_material(surface).components)
 
 
+def made_light(surface: Brdf | Material) -> float:
+    """How much of the light along the normal a material reflects, in the channel where it is most; 0 if not known.
+
+    Known is that of sums of lobes whose weights are constant.
+    """
+    total = np.zeros(1)
+    for part in as_material(surface).components:
+        if not isinstance(part.brdf, lobes.LobeSum) or not all(texture.is_constant for texture in part.weight):
+            return 0.0
+        weight = np.prod([np.ones(1), *(np.asarray(texture.pixels[0, 0]) for texture in part.weight)], axis=0)
+        total = total + weight * np.asarray(part.brdf.normal_albedo)
+    return float(total.max())
+
+
 def from_file(described: FileMaterial | None) -> tuple[Brdf | Material, list[str]]:
     """What a mesh file describes, as a material, and what was approximated or left out. Grey where it says nothing.
 
