@@ -9,7 +9,7 @@ import numpy as np
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong
-from jaxrelight.brdf.texture import Texture, constant
+from jaxrelight.brdf.texture import Texture, constant, look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.file_materials import FileMaterial, Picture
 
@@ -53,8 +53,7 @@ def made_light(surface: Brdf | Material) -> float:
     for part in as_material(surface).components:
         if not isinstance(part.brdf, lobes.LobeSum) or not all(texture.is_constant for texture in part.weight):
             return 0.0
-        weight = np.prod([np.ones(1), *(np.asarray(texture.pixels[0, 0]) for texture in part.weight)], axis=0)
-        total = total + weight * np.asarray(part.brdf.normal_albedo)
+        total = total + np.asarray(look_up(part.weight, jnp.zeros(2)) * part.brdf.normal_albedo)
     return float(total.max())
 
 

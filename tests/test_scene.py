@@ -546,7 +546,8 @@ def test_mixtures_and_normal_maps(folder):
     ("old", "new", "what"),
     [
         ("albedo = 0.5", 'albedo = "none.png"', "none.png: no such file"),
-        ("albedo = 0.5", "albedo = 0.5\nnormal_map = 3\nx = 1", "'x' is not known"),
+        ("albedo = 0.5", "albedo = 0.5\nnormal_map = [0, 0, 1]\nx = 1", "'x' is not known"),
+        ("albedo = 0.5", "albedo = 0.5\nnormal_map = 3", "'normal_map' must be 3 numbers, not 3"),
         ('type = "lambert"\nalbedo = 0.5', 'type = "mixture"', "a mixture needs 'parts'"),
         (
             'type = "lambert"\nalbedo = 0.5',
