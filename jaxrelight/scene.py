@@ -21,7 +21,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
-from jaxrelight.scene_materials import from_file, read_texture, weighted
+from jaxrelight.scene_materials import from_file, made_light, read_texture, weighted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +102,9 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     for name, table in mixtures.items():
         materials[name] = _mixture(table, path.parent, plain)
     parts = []
+    for name, surface in materials.items():
+        if (albedo := made_light(surface)) > 1.01:
+            assumptions.append(f"[material.{name}]: reflects {albedo:.3g} times the light it gets; lower its colours")
     for table in root.tables("mesh"):
         made, found, notes = _parts(table, path.parent, materials)
         parts += made

@@ -9,7 +9,7 @@ import numpy as np
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong
-from jaxrelight.brdf.texture import Texture, constant
+from jaxrelight.brdf.texture import Texture, constant, look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.file_materials import FileMaterial, Picture
 
@@ -42,6 +42,19 @@ def read_texture(picture: Picture, *, data: bool = False) -> Texture:
 def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]:
     """The components of a material, all multiplied by a weight."""
     return tuple(Component(part.brdf, (*part.weight, weight)) for part in as_material(surface).components)
+
+
+def made_light(surface: Brdf | Material) -> float:
+    """How much of the light along the normal a material reflects, in the channel where it is most; 0 if not known.
+
+    Known is that of sums of lobes whose weights are constant.
+    """
+    total = np.zeros(1)
+    for part in as_material(surface).components:
+        if not isinstance(part.brdf, lobes.LobeSum) or not all(texture.is_constant for texture in part.weight):
+            return 0.0
+        total = total + np.asarray(look_up(part.weight, jnp.zeros(2)) * part.brdf.normal_albedo)
+    return float(total.max())
 
 
 def from_file(described: FileMaterial | None) -> tuple[Brdf | Material, list[str]]:

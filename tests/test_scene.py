@@ -473,6 +473,30 @@ def test_what_is_no_number_for_float32_is_refused(tmp_path, albedo):
     assert "albedo" in _fault(tmp_path, _CAMERA + f'[material.paper]\ntype = "lambert"\nalbedo = {albedo}\n')
 
 
+@pytest.mark.parametrize(
+    ("lines", "albedo"),
+    [
+        ('type = "lambert"\nalbedo = [0.5, 1.5, 0]', "1.5"),
+        ('type = "phong"\ndiffuse = 0.7\nspecular = 0.5\nexponent = 9', "1.2"),
+        ('type = "lafortune"\ndiffuse = 0.5\nlobes = [{C = [-1, -1, 0.5], exponent = 2, peak = 8}]', "3.64"),
+        ('type = "lambert"\nalbedo = 1', None),
+        ('type = "phong"\ndiffuse = 0.5\nspecular = 0.5\nexponent = 9', None),
+    ],
+)
+def test_a_material_that_makes_light_is_told(folder, lines: str, albedo: str | None):
+    scene = load_scene(_write(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines)))
+    told = [f"[material.paper]: reflects {albedo} times the light it gets; lower its colours"]
+    assert list(scene.notes) == (told if albedo else [])
+
+
+def test_light_made_by_a_mixture_is_told(folder):
+    parts = ", ".join(f'{{material = "white", weight = {weight}}}' for weight in (0.7, 0.8))
+    white = '[material.white]\ntype = "lambert"\nalbedo = 1\n[material.paper]\ntype = "mixture"\n'
+    text = _changed(SMALL, '[material.paper]\ntype = "lambert"\nalbedo = 0.5', f"{white}parts = [{parts}]")
+    (note,) = load_scene(_write(folder, text)).notes
+    assert note.startswith("[material.paper]: reflects 1.5 times")
+
+
 # Materials that vary over the surface, and those of mesh files.
 
 
@@ -521,7 +545,8 @@ def test_mixtures_and_normal_maps(folder):
     ("old", "new", "what"),
     [
         ("albedo = 0.5", 'albedo = "none.png"', "none.png: no such file"),
-        ("albedo = 0.5", "albedo = 0.5\nnormal_map = 3\nx = 1", "'x' is not known"),
+        ("albedo = 0.5", "albedo = 0.5\nnormal_map = [0, 0, 1]\nx = 1", "'x' is not known"),
+        ("albedo = 0.5", "albedo = 0.5\nnormal_map = 3", "'normal_map' must be 3 numbers, not 3"),
         ('type = "lambert"\nalbedo = 0.5', 'type = "mixture"', "a mixture needs 'parts'"),
         (
             'type = "lambert"\nalbedo = 0.5',

@@ -196,6 +196,32 @@ def test_damaged_group_is_noticed_and_made_anew(tmp_path, how: str):
     assert _contents(tmp_path) == before
 
 
+@pytest.mark.parametrize("how", HOW)
+def test_check_finds_damage_that_nobody_reads(tmp_path, how: str):
+    _layer(tmp_path / "a", range(GROUPS))
+    store.open_layer(tmp_path / "a").check()
+    _damaged(tmp_path / "a" / "000004", how)
+    assert str(tmp_path / "a" / "000004") in _refused(store.open_layer(tmp_path / "a").check)
+
+
+def test_names_that_lead_out_of_a_store_are_none():
+    names = {kind: f"{kind}-{'0a' * 8}" for kind in ("geometry", "visibility", "environment", "factors", "transport")}
+    texture = f"texture-{'1b' * 8}"
+
+    def header(**changed):
+        known = {**names, **changed}
+        material = {"factors": known["factors"], "transport": known["transport"]}
+        material |= {"normal_map": known.get("normal_map"), "weight": [texture, [0.5]]}
+        layers = {kind: known[kind] for kind in ("geometry", "visibility")}
+        return {**layers, "environment": {"pixels": known["environment"]}, "materials": [material]}
+
+    assert set(store.layers_of(header())) == {*names.values(), texture}
+    for kind in (*names, "normal_map"):
+        for wrong in ("/", "..", f"../{names.get(kind, texture)}", "", texture.upper(), "visible-" + "0" * 16):
+            with pytest.raises(ValueError, match="is no name of a layer of"):
+                store.layers_of(header(**{kind: wrong}))
+
+
 def test_swapped_groups_are_noticed(tmp_path):
     _layer(tmp_path / "a", range(GROUPS))
     one, other = tmp_path / "a" / "000001", tmp_path / "a" / "000004"

@@ -41,6 +41,12 @@ class LobeSum(Brdf):
         """True without lobes."""
         return self.C.shape[-3] == 0
 
+    @property
+    def normal_albedo(self) -> Float[Array, " c"]:
+        """The share of light along the normal that is reflected: diffuse + Σ_l 2π scale_l max(0, C_z)ⁿ / (n + 2)."""
+        share = safe.power(self.C[..., 2], self.exponent) / (self.exponent + 2)
+        return self.diffuse + 2 * math.pi * jnp.sum(self.scale * share, axis=0)
+
 
 def lambert(albedo) -> LobeSum:
     """Albedo/π in every direction; albedo per channel."""

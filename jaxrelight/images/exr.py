@@ -89,6 +89,13 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
             OpenEXR.File(header, {"RGB" if image.shape[2] == 3 else "RGBA": image}).write(str(path))
     except Exception as fault:  # the library has no exception type of its own
         raise OSError(str(fault).strip().split('". ')[-1]) from fault
+    # The library says nothing of a disk that fills up meanwhile.
+    try:
+        whole = np.array_equal(read_exr(path, image.shape[0] * image.shape[1]), image, equal_nan=True)
+    except InputError:
+        whole = False
+    if not whole:
+        raise OSError("what is on the disk is not what was written")
 
 
 def read_channels(path: Path, max_pixels: int) -> list[dict[str, np.ndarray]]:

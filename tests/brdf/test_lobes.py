@@ -235,3 +235,13 @@ def test_phong_never_reflects_more_than_it_gets(x64, cosine):
 def test_numbers_that_are_none_are_refused(arguments):
     with pytest.raises(InputError, match=r"finite|three numbers"):
         lobe(**arguments)
+
+
+@pytest.mark.parametrize("exponent", [0, 1, 7.5, 300])
+def test_normal_albedo_is_the_integral(exponent: float):
+    brdf = lobe_sum([0.1, 0.2, 0.3], [lobe([-1, -0.5, 0.8], exponent, peak=[1, 2, 3]), lobe([1, 1, -1], 2, peak=5)])
+    # Midpoints in the cosine; around the normal, nothing changes.
+    cosine = (np.arange(20000) + 0.5) / 20000
+    omega_i = np.stack([np.sqrt(1 - cosine**2), 0 * cosine, cosine], axis=-1)
+    values = at(brdf, omega_i, np.broadcast_to([0.0, 0.0, 1.0], omega_i.shape))
+    np.testing.assert_allclose(brdf.normal_albedo, 2 * np.pi * np.mean(values * cosine[:, None], axis=0), rtol=1e-4)

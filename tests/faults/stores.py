@@ -177,8 +177,8 @@ def _mending(before: Mapping, damaged: Mapping, after: Mapping) -> str:
 
 
 def _files(folder: pathlib.Path) -> dict[str, tuple[bytes, int]]:
-    """The content of every file, and which file it is on the disk."""
-    paths = (path for path in folder.rglob("*") if path.is_file())
+    """The content of every file that can be read, and which file it is on the disk."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and os.access(path, os.R_OK))
     return {str(path.relative_to(folder)): (path.read_bytes(), path.stat().st_ino) for path in paths}
 
 
