@@ -10,7 +10,7 @@ from jax.test_util import check_grads
 
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.lobe_sampling import LobeSampler
-from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.sampling import CellSampler, directional_albedo, from_disc, to_disc
 from tests.brdf.test_lobes import EXPONENTS, PAIRS, albedo, hemisphere
 
@@ -133,10 +133,8 @@ def test_a_lobe_is_largest_at_its_peak(name):
     np.testing.assert_allclose(jnp.linalg.norm(peaks, axis=-1), 1, rtol=1e-5)
     omega = jnp.asarray(hemisphere(4000), jnp.float32)
     for number in range(len(peaks)):
-        alone = lobe_sum(0, [])
-        alone = type(alone)(
-            0 * brdf.diffuse, *(x[number : number + 1] for x in (brdf.C, brdf.exponent, brdf.scale)), brdf.turn
-        )
+        parts = (x[number : number + 1] for x in (brdf.C, brdf.exponent, brdf.scale))
+        alone = LobeSum(0 * brdf.diffuse, *parts, turn=brdf.turn)
         for channel in range(peaks.shape[1]):
             at_peak = alone.evaluate(peaks[number, channel], OMEGA_O)[channel]
             others = jax.vmap(alone.evaluate, in_axes=(0, None))(omega, OMEGA_O)[:, channel]
@@ -149,7 +147,7 @@ def test_gradients_in_the_turn_are_right_and_finite(x64):
     brdf = lobe_sum(0.1, [lobe([-1, -0.3, 0.8], 8, peak=1)], jnp.float64, turn=0.7)
 
     def value(turn, omega_i, omega_o):
-        return type(brdf)(brdf.diffuse, brdf.C, brdf.exponent, brdf.scale, turn).evaluate(omega_i, omega_o)
+        return LobeSum(brdf.diffuse, brdf.C, brdf.exponent, brdf.scale, turn).evaluate(omega_i, omega_o)
 
     check_grads(value, (brdf.turn, jnp.asarray([-0.48, 0.36, 0.8]), OMEGA_O.astype(float)), 1, ["fwd", "rev"])
     slopes = jax.vmap(jax.jacrev(value, argnums=(0, 1, 2)), in_axes=(None, 0, 0))(

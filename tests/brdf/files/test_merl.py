@@ -9,7 +9,7 @@ import pytest
 
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.merl import SHAPE, SIZE
-from jaxrelight.brdf.tabulated import entry_angles, least_cosine
+from jaxrelight.brdf.tabulated import Tabulated, entry_angles, least_cosine
 from jaxrelight.errors import InputError
 from tests.brdf.files import writers
 from tests.shared_data import shared
@@ -22,6 +22,11 @@ def smooth() -> np.ndarray:
     theta_h, theta_d, phi_d = np.meshgrid(*entry_angles(SHAPE), indexing="ij")
     grey = np.exp(-3 * theta_h) * (1 + theta_d**2) * (1 + 0.2 * np.sin(theta_h) * np.sin(theta_d) * np.cos(2 * phi_d))
     return grey[..., None] * [0.3, 0.2, 0.1]
+
+
+def _table(brdf) -> np.ndarray:
+    assert isinstance(brdf, Tabulated)
+    return np.asarray(brdf.values)
 
 
 def pair(theta_h, theta_d, phi_d) -> tuple[np.ndarray, np.ndarray]:
@@ -55,12 +60,12 @@ def test_at_its_entries_a_table_is_what_is_written(file):
     places = np.argwhere(least_cosine(SHAPE) > 0.05)[::4111]
     values = at_entries(found.brdf, places)
     np.testing.assert_allclose(values, smooth()[tuple(places.T)], rtol=2e-3)
-    assert found.brdf.values.shape == (*SHAPE, 3)
+    assert _table(found.brdf).shape == (*SHAPE, 3)
 
 
 def test_no_invalid_mark_is_left_in_any_value(file):
     brdf = load_brdf(file).brdf
-    assert np.asarray(brdf.values).min() > 0
+    assert _table(brdf).min() > 0
     chance = np.random.default_rng(0)
     omega = chance.normal(size=(2, 4000, 3))
     omega[..., 2] = np.abs(omega[..., 2]) * 0.02  # near the horizon
@@ -76,7 +81,7 @@ def test_invalid_entries_above_the_surface_are_filled_and_counted(tmp_path):
     path.write_bytes(writers.merl(values))
     found = load_brdf(path)
     assert found.notes == ("holes.binary: 3 entries above the surface are invalid; the nearest is taken",)
-    np.testing.assert_allclose(found.brdf.values[10, 10, 21], smooth()[10, 10, 21], rtol=0.2)
+    np.testing.assert_allclose(_table(found.brdf)[10, 10, 21], smooth()[10, 10, 21], rtol=0.2)
 
 
 def test_a_surrogate_is_what_its_writer_writes(tmp_path):

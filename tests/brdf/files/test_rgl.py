@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from jax.typing import ArrayLike
 
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.errors import InputError
@@ -19,7 +20,7 @@ ORACLE = json.loads(Path(__file__, "../mitsuba_oracle.json").resolve().read_text
 OMEGA_I, OMEGA_O = np.array(ORACLE["omega_i"], np.float32), np.array(ORACLE["omega_o"], np.float32)
 
 
-def evaluate(brdf, omega_i=OMEGA_I, omega_o=OMEGA_O) -> np.ndarray:
+def evaluate(brdf, omega_i: ArrayLike = OMEGA_I, omega_o: ArrayLike = OMEGA_O) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(brdf.evaluate))(jnp.asarray(omega_i), jnp.asarray(omega_o)))
 
 
