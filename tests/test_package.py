@@ -18,7 +18,7 @@ ROOT = pathlib.Path(jaxrelight.__file__).parent
 # lie below it; the streamed operator bakes, so it lies above `transport.bake`.
 LAYERS = (
     ("errors", "safe", "buckets", "compilation_cache", "array_file"),
-    ("images", "store", "operators", "transport.settings"),
+    ("images", "store", "operators", "transport.settings", "geometry.frame"),
     ("basis", "brdf", "geometry"),
     ("lights", "transport.bake", "transport.visibility", "transport.normal_maps"),
     ("scene_materials", "operators.streamed"),

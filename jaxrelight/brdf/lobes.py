@@ -12,24 +12,40 @@ from jaxrelight.errors import InputError
 
 
 class LobeSum(Brdf):
-    """f = diffuse/π + Σ_l scale_l · max(0, ω_oᵀ C_l ω_i)^exponent_l with diagonal C.
+    """f = diffuse/π + Σ_l scale_l · max(0, ω_oᵀ C_l ω_i)^exponent_l with C diagonal in axes turned about the normal.
 
     C and exponent have one entry per channel, or a single one shared by all. `lobe` builds lobes in which max|C| = 1:
     then the power is at most 1 and neither overflows nor underflows to nothing at any exponent.
+
+    `turn` is the direction of anisotropy: by how many radians, counter-clockwise seen from above, the axes of C are
+    turned from the tangent; None for none. With Cx = Cy it changes nothing.
     """
 
     diffuse: Float[Array, " c"]
     C: Float[Array, "l c1 3"]
     exponent: Float[Array, "l c1"]
     scale: Float[Array, "l c"]
+    turn: Float[Array, ""] | None = None
 
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
         """f(ω_i, ω_o) of every channel."""
         if self.is_constant:
             return self.diffuse / math.pi
-        x, y, z = omega_i * omega_o
+        x, y, z = self._in_axes(omega_i) * self._in_axes(omega_o)
         dot = self.C[..., 0] * x + self.C[..., 1] * y + self.C[..., 2] * z
         return self.diffuse / math.pi + jnp.sum(self.scale * safe.power(dot, self.exponent), axis=0)
+
+    def peak(self, omega_o: Float[Array, "3"]) -> tuple[Float[Array, "l c1 3"], Float[Array, "l c1"]]:
+        """Where each lobe is largest, the unit vector along Cᵀω_o (McAllister 2002 eq. 4), and the length |Cᵀω_o|.
+
+        The direction may lie below the surface; where C is nothing it is the zero vector.
+        """
+        along = self.C * self._in_axes(omega_o)
+        peak = safe.normalize(along)
+        return peak if self.turn is None else _turned(peak, self.turn), safe.norm(along)
+
+    def _in_axes(self, omega: Float[Array, "3"]) -> Float[Array, "3"]:
+        return omega if self.turn is None else _turned(omega, -self.turn)
 
     @property
     def channels(self) -> int:
@@ -46,6 +62,13 @@ class LobeSum(Brdf):
         """The share of light along the normal that is reflected: diffuse + Σ_l 2π scale_l max(0, C_z)ⁿ / (n + 2)."""
         share = safe.power(self.C[..., 2], self.exponent) / (self.exponent + 2)
         return self.diffuse + 2 * math.pi * jnp.sum(self.scale * share, axis=0)
+
+
+def _turned(vectors: Float[Array, "... 3"], angle: Float[Array, ""]) -> Float[Array, "... 3"]:
+    """Turned about z, counter-clockwise."""
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return jnp.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)
 
 
 def lambert(albedo) -> LobeSum:
@@ -97,8 +120,11 @@ def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarr
     return normal, n, np.atleast_1d(scale)
 
 
-def lobe_sum(diffuse, lobes, dtype=jnp.float32) -> LobeSum:
-    """A BRDF of a diffuse albedo and lobes made by `lobe`; single numbers are spread over the channels."""
+def lobe_sum(diffuse, lobes, dtype=jnp.float32, *, turn=None) -> LobeSum:
+    """A BRDF of a diffuse albedo and lobes made by `lobe`; single numbers are spread over the channels.
+
+    `turn` is the direction of anisotropy in radians from the tangent.
+    """
     diffuse = np.atleast_1d(np.asarray(diffuse, float))
     channels = max([3, diffuse.size, *(part.size for _, n, scale in lobes for part in (n, scale))])
     shared = all(len(n) == 1 for _, n, _ in lobes)
@@ -113,4 +139,5 @@ def lobe_sum(diffuse, lobes, dtype=jnp.float32) -> LobeSum:
         C=stack([C for C, _, _ in lobes], width, 3),
         exponent=stack([n for _, n, _ in lobes], width),
         scale=stack([scale for _, _, scale in lobes], channels),
+        turn=None if turn is None else jnp.asarray(turn, dtype),
     )

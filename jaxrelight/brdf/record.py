@@ -25,8 +25,9 @@ def to_record(brdf: Brdf, keep: Callable[[np.ndarray], str]) -> dict:
             return {"layer": keep(array)}
         return {"shape": list(array.shape), "values": array.ravel().tolist()}
 
-    arrays = {field.name: np.asarray(getattr(brdf, field.name)) for field in dataclasses.fields(brdf)}
-    return {"kind": type(brdf).__name__, "arrays": {name: entry(array) for name, array in arrays.items()}}
+    arrays = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf)}
+    entries = {name: entry(np.asarray(array)) for name, array in arrays.items() if array is not None}
+    return {"kind": type(brdf).__name__, "arrays": entries}
 
 
 def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float32) -> Brdf:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf.factors import Factored
-from jaxrelight.brdf.lobes import phong
+from jaxrelight.brdf.lobes import lobe, lobe_sum, phong
 from jaxrelight.brdf.reflection import FixedView, of_group
 
 BRDF = phong([0.1, 0.2, 0.3], 0.5, 7)
@@ -80,3 +80,19 @@ def test_a_brdf_may_lead_with_receivers_as_a_whole():
     found = jax.vmap(lambda one: eqx.combine(one, shared).light_side(omega_i))(own)
     for value, brdf, view in zip(found, brdfs, omega_o, strict=True):
         np.testing.assert_allclose(value[0], brdf.evaluate(omega_i, view), rtol=1e-6)
+
+
+def test_the_direction_of_anisotropy_may_be_each_receivers_own():
+    """One that the shared BRDF does not have at all."""
+    parts = [lobe([-1, -0.3, 0.8], 8, peak=1)]
+    brdf = lobe_sum(0.1, parts)
+    turns = jnp.asarray([0.0, 0.5, 2.0])
+    own = eqx.tree_at(lambda b: b.turn, jax.tree.map(lambda _: None, brdf), turns, is_leaf=lambda x: x is None)
+    omega_i, omega_o = jnp.asarray([0.6, 0, 0.8]), jnp.broadcast_to(jnp.asarray([-0.48, 0.36, 0.8]), (3, 3))
+    reflection = FixedView(brdf, omega_o, own)
+    mine, shared = eqx.partition(reflection, reflection.per_receiver)
+    found = jax.vmap(lambda one: eqx.combine(one, shared).light_side(omega_i))(mine)
+    for value, turn in zip(found, turns, strict=True):
+        wanted = lobe_sum(0.1, parts, turn=turn).evaluate(omega_i, omega_o[0])
+        np.testing.assert_allclose(value[0], wanted, rtol=1e-5)
+    assert abs(float(found[0, 0, 0] - found[1, 0, 0])) > 1e-3

@@ -13,6 +13,7 @@ import numpy as np
 from jaxrelight.geometry.primitives import sphere
 from jaxrelight.images import tone_map
 from jaxrelight.images.radiance_hdr import encode_radiance
+from tests.brdf.files import writers
 from tests.geometry.test_mesh import ascii_stl, binary_stl, obj, ply
 from tests.images import exr_writer, radiance_writer
 
@@ -39,6 +40,8 @@ def formats() -> dict[str, Format]:
         ".obj": Format({"plain": obj(_MESH).encode(), "normals": obj(_MESH, normals=True).encode()}, by_lines=True),
         ".stl": _stl(),
         ".glb": _glb(),
+        ".bsdf": _bsdf(),
+        ".brdf": _brdf(),
     }
 
 
@@ -223,3 +226,31 @@ def _glb() -> Format:
         for length in (2**32 - 1, 10**9):
             lies[f"{what} of {length} bytes"] = whole[:at] + struct.pack("<I", length) + whole[at + 4 :]
     return Format({"sphere": whole}, lies)
+
+
+def _bsdf() -> Format:
+    whole, lies = writers.rgl(), {}
+    for count in (0, 8, 10, 2**31):
+        lies[f"{count} fields"] = whole[:14] + struct.pack("<I", count) + whole[18:]
+    for name in (b"theta_i", b"vndf", b"rgb"):
+        at = whole.index(struct.pack("<H", len(name)) + name) + 2 + len(name)
+        dimensions, _, offset = struct.unpack_from("<HBQ", whole, at)
+        for claim in (2**16 - 1, dimensions + 1, dimensions - 1):
+            lies[f"{name.decode()} of {claim} dimensions"] = whole[:at] + struct.pack("<H", claim) + whole[at + 2 :]
+        for claim in (11, 1, 99):
+            lies[f"{name.decode()} of type {claim}"] = whole[: at + 2] + bytes([claim]) + whole[at + 3 :]
+        for claim in (0, offset - 8, offset + 8, 2**63):
+            lies[f"{name.decode()} at {claim}"] = whole[: at + 3] + struct.pack("<Q", claim) + whole[at + 11 :]
+        (size,) = struct.unpack_from("<Q", whole, at + 11)
+        for claim in (0, size + 1, 2**20, 2**62):
+            lies[f"{name.decode()} of {claim}"] = whole[: at + 11] + struct.pack("<Q", claim) + whole[at + 19 :]
+    return Format({"isotropic": whole, "anisotropic": writers.rgl(5)}, lies)
+
+
+def _brdf() -> Format:
+    angles, spectra, wavelengths = writers.cornell_pairs()
+    files = {name: writers.cornell(angles, spectra, wavelengths, end) for name, end in (("lf", "\n"), ("crlf", "\r\n"))}
+    lies = {}
+    for claim in (2, 15, 17, 36, 10**9, 10**18):
+        lies[f"{claim} wavelengths"] = _changed(files["lf"], b"num wls\n16", b"num wls\n%d" % claim)
+    return Format(files, lies, by_lines=True)

@@ -11,8 +11,12 @@ import sys
 import warnings
 from pathlib import Path
 
+import jax
 import numpy as np
 
+from jaxrelight.brdf.files.content import Content
+from jaxrelight.brdf.files.cornell import read_pairs
+from jaxrelight.brdf.files.load import load_brdf
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import load_mesh
 from jaxrelight.images import read_image
@@ -26,6 +30,12 @@ def loaded(path: Path) -> dict:
         pixels = read_image(path)
         wrong = pixels.dtype != np.float32 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or not pixels.size
         return _told([pixels], (), "not an image" if wrong else "")
+    if path.suffix == ".bsdf":
+        found = load_brdf(path)
+        return _told_brdf([np.asarray(array) for array in jax.tree.leaves(found.brdf)], found.notes)
+    if path.suffix == ".brdf":  # without the interpolation, which would take a second for each
+        pairs = read_pairs(Content(path))
+        return _told_brdf([pairs.omega_i, pairs.omega_o, pairs.values], pairs.notes)
     mesh = load_mesh(path)
     return _told([mesh.vertices, mesh.faces, mesh.normals], mesh.notes, _mesh_fault(mesh))
 
@@ -34,6 +44,11 @@ def _told(arrays, notes, wrong: str) -> dict:
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
     shape = [list(array.shape) for array in arrays]
     return {"outcome": "loaded", "digest": digest, "shape": shape, "notes": list(notes), "wrong": wrong}
+
+
+def _told_brdf(arrays, notes) -> dict:
+    sound = all(np.isfinite(array).all() for array in arrays) and arrays[-1].min() >= 0
+    return _told(arrays, notes, "" if sound else "reflectance that is negative or not finite")
 
 
 def _mesh_fault(mesh) -> str:
@@ -85,6 +100,8 @@ def _warm_up():
     import trimesh.exchange.obj
     import trimesh.exchange.ply
     import trimesh.exchange.stl  # noqa: F401
+
+    jax.block_until_ready(jax.numpy.asarray(np.zeros((2, 2), np.float32)))
 
 
 def _limit_memory(mebibytes: int):

@@ -50,7 +50,7 @@ def read_pairs(content: Content) -> Pairs:
         InputError: if a line does not hold what it should, an angle is out of range or a number not finite.
     """
     lines = [line for line in content.data.split(b"\n") if line.strip() and not line.lstrip().startswith(b"#")]
-    head = _numbers(content, lines[0])
+    head = _numbers(content, lines[0]) if lines else np.zeros(0)
     count = int(head[0]) if len(head) == 1 and 2 <= head[0] <= 1000 and head[0] == int(head[0]) else 0
     if not count:
         raise content.fault("does not start with a number of wavelengths from 2 to 1,000")

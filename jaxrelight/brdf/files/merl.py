@@ -1,5 +1,7 @@
 """MERL's .binary files: isotropic reflectance in a table over half and difference vector (Matusik et al. 2003)."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -30,10 +32,10 @@ def read_merl(content: Content) -> tuple[Tabulated, list[str]]:
     values = np.moveaxis(content.array("<f8", (3, *SHAPE), 12), 0, -1)
     content.check_finite(values, "values")
     values = values * SCALE
-    invalid = (values < 0).any(axis=-1)
+    invalid = np.any(values < 0, axis=-1)
     if invalid.all():
         raise content.fault("has no valid value")
-    values[invalid] = values[tuple(_nearest_valid(invalid))]
+    values[invalid] = values[tuple(_nearest_valid(np.asarray(invalid)))]
     odd = int(np.sum(invalid & (least_cosine(SHAPE) > 0.02)))
     notes = [f"{content.path.name}: {odd:,} entries above the surface are invalid; the nearest is taken"] if odd else []
     return Tabulated(jnp.asarray(values, jnp.float32)), notes
@@ -46,7 +48,7 @@ def _nearest_valid(invalid: np.ndarray) -> np.ndarray:
     # φ_d goes around: a quarter of the table on either side is enough of what lies beyond.
     n = SHAPE[2]
     wrapped = np.pad(invalid, ((0, 0), (0, 0), (n // 4, n // 4)), mode="wrap")
-    places = ndimage.distance_transform_edt(wrapped, return_distances=False, return_indices=True)
+    places: Any = ndimage.distance_transform_edt(wrapped, return_distances=False, return_indices=True)
     found = places[:, :, :, n // 4 : n // 4 + n][:, invalid]
     found[2] = (found[2] - n // 4) % n
     return found

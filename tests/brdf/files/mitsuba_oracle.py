@@ -27,7 +27,7 @@ def directions(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def main():
     """Evaluates all files at the same pairs."""
-    import mitsuba
+    import mitsuba  # pyright: ignore[reportMissingImports]
 
     mitsuba.set_variant("scalar_rgb")
     omega_i, omega_o = directions(120)

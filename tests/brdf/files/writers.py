@@ -28,7 +28,8 @@ def rgl_fields(azimuths: int = 1, seed: int = 0, size: int = 6) -> dict[str, np.
     fields = {
         "phi_i": phi,
         "theta_i": theta,
-        "sigma": chance.uniform(0.5, 1, (2 if azimuths == 1 else 5, 9)),
+        # An isotropic surface shows as much of itself from all azimuths.
+        "sigma": np.repeat(chance.uniform(0.5, 1, (1, 9)), 2, 0) if azimuths == 1 else chance.uniform(0.5, 1, (5, 9)),
         "ndf": chance.uniform(0.2, 2, (3, 8)),
         "vndf": chance.uniform(0.1, 1, (*many, size + 2, size + 1)),
         "luminance": chance.uniform(0.1, 1, (*many, size, size)),

@@ -1,0 +1,66 @@
+"""Drawing directions to the light by the lobes of a Lafortune BRDF (Lafortune 1997 §4; McAllister 2002 §5)."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from jaxrelight import safe
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.sampling import from_disc
+from jaxrelight.geometry.frame import tangent_frame
+
+# Share of samples that the cosine takes at least, so that estimates have no bias where lobes are 0.
+_LEAST_COSINE_SHARE = 0.05
+
+
+class LobeSampler(eqx.Module):
+    """ω_i for one ω_o, drawn from a mixture: the cosine, and for every lobe max(0, ω_i · p)ⁿ about its peak p.
+
+    A lobe's share grows with what it holds over the whole sphere, scale · |Cᵀω_o|ⁿ · 2π/(n + 1), summed over channels;
+    the cosine's with the diffuse albedo. A lobe whose C or exponent differ by channel is drawn by each channel's.
+    Directions drawn below the surface reflect nothing; they count as samples all the same, so the density integrates
+    to 1 over the sphere, not the hemisphere.
+    """
+
+    shares: Float[Array, " 1+m"]
+    peaks: Float[Array, "m 3"]
+    exponents: Float[Array, " m"]
+
+    def __init__(self, brdf: LobeSum, omega_o: Float[Array, "3"]):
+        peaks, lengths = brdf.peak(omega_o)
+        shared = brdf.C.shape[1] == 1
+        scale = jnp.sum(brdf.scale, axis=1, keepdims=True) if shared else brdf.scale
+        held = scale * safe.power(lengths, brdf.exponent) * (2 * math.pi) / (brdf.exponent + 1)
+        shares = jnp.concatenate([jnp.sum(brdf.diffuse)[None], jnp.maximum(held, 0).ravel()])
+        total = jnp.sum(shares)
+        even = jnp.zeros_like(shares).at[0].set(1)
+        shares = jnp.where(total > 0, shares / jnp.where(total > 0, total, 1), even)
+        self.shares = (1 - _LEAST_COSINE_SHARE) * shares + _LEAST_COSINE_SHARE * even
+        self.peaks = peaks.reshape(-1, 3)
+        self.exponents = brdf.exponent.ravel()
+
+    def sample(self, key: Key[Array, ""]) -> Float[Array, "3"]:
+        """One direction; it may lie below the surface."""
+        choice, place = jax.random.split(key)
+        u, v = jax.random.uniform(place, (2,), self.shares.dtype)
+        drawn = [from_disc(u, v)[None]]
+        if len(self.exponents):
+            drawn.append(jax.vmap(lambda peak, n: _about(peak, n, u, v))(self.peaks, self.exponents))
+        return jnp.concatenate(drawn)[jax.random.categorical(choice, jnp.log(self.shares))]
+
+    def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
+        """Density of `sample` by solid angle, over the whole sphere."""
+        lobes = (self.exponents + 1) / (2 * math.pi) * safe.power(self.peaks @ omega_i, self.exponents)
+        return self.shares[0] * jnp.maximum(omega_i[2], 0) / math.pi + jnp.sum(self.shares[1:] * lobes)
+
+
+def _about(peak, exponent, u, v):
+    """A direction of density (n + 1)/2π · max(0, ω · peak)ⁿ."""
+    # 1 − u, since u may be 0 but not 1.
+    log_cosine = jnp.log1p(-u) / (exponent + 1)
+    cosine, sine = jnp.exp(log_cosine), jnp.sqrt(-jnp.expm1(2 * log_cosine))
+    angle = 2 * math.pi * v
+    return jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), cosine]) @ tangent_frame(peak)
