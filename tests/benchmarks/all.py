@@ -27,6 +27,8 @@ def main():
             "light_truncation": [],
             "mesh_size": [],
             "large_scenes": [],
+            "fit_speed": [],
+            "fit_materials": [],
         }
         failed = [name for name, options in programs.items() if not _succeeds(name, options, quick)]
     if failed:

@@ -56,7 +56,7 @@ def main():
         heads = ["solve", "within 1 % of best", "worst ratio", "texels/s", "× Optimistix", "× scipy", "good"]
         report.table(heads, rows)
         report.text(
-            "Best: the least residual of four starts of scipy's `least_squares` in float64, the truth among them (target "
+            "Best: the least residual of four starts of scipy's `least_squares` in float64, one of them the truth (target "
             "99.9 % within 1 % of it; 2,000 texels/s; 4 × a vmapped `optimistix.LevenbergMarquardt` with its default "
             "linear solver over all parameters jointly, from the mirror lobe; 20 × scipy from one start, per texel: "
             f"{1 / scipy_seconds:.0f}/s here)."
@@ -87,7 +87,6 @@ def _plain(omega_i, omega_o, values):
         unknowns = {"lobe": lobe, "factors": jnp.zeros((3, 2), values.dtype)}
         solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
         found = optx.least_squares(residual, solver, unknowns, max_steps=100, throw=False).value
-        # The samples are scaled to a root mean square of 1 in the mean over channels' sum.
         return jnp.sqrt(jnp.sum(jnp.square(residual(found, None))))
 
     return jax.vmap(one)(omega_i, omega_o, values)
