@@ -80,7 +80,7 @@ def fit_lafortune(
         samples.omega_o,
         jnp.asarray(np.broadcast_to(samples.values, (2, *samples.values.shape)), jnp.float32),
         np.stack([weight_of, np.where(held, 0, weight_of)]),
-        options,
+        options=options,
     )
     brdf, without = (jax.tree.map(lambda leaf, i=i: leaf[i], fits.brdf) for i in (0, 1))
     error, size = _squares(brdf, samples, weight_of)

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
@@ -19,6 +20,8 @@ from fitting.small_systems import solve_positive
 from fitting.starts import best_additions
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
+
+Arrays = Array | np.ndarray
 
 # Items solved together: a slow one holds up as many, and their samples fit a processor's cache.
 BLOCK = 64
@@ -106,10 +109,11 @@ class Fits(eqx.Module):
 
 
 def fit_lobes(
-    omega_i: Float[Array, "t s 3"],
-    omega_o: Float[Array, "t s 3"],
-    values: Float[Array, "t s c"],
-    weight: Float[Array, "t s"] | None = None,
+    omega_i: Float[Arrays, "t s 3"],
+    omega_o: Float[Arrays, "t s 3"],
+    values: Float[Arrays, "t s c"],
+    weight: Float[Arrays, "t s"] | None = None,
+    *,
     options: Options = Options(),
 ) -> Fits:
     """Fits diffuse/π + Σ_l scale_l · max(0, ω_oᵀC_lω_i)ⁿˡ to the samples of every item, in weighted least squares.

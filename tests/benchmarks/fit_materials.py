@@ -44,7 +44,7 @@ def _published(report: Report):
         exact = sample(lobe_sum(materials[name]["diffuse"], lobes))
         noise = NOISE * exact.values * np.random.default_rng(SEED).normal(size=exact.values.shape)
         noisy = BrdfSamples(exact.omega_i, exact.omega_o, exact.values + noise)
-        level = np.linalg.norm(noise) / np.linalg.norm(noisy.values)
+        level = float(np.linalg.norm(noise) / np.linalg.norm(noisy.values))
         fits = [fit_lafortune(noisy, Options(lobes=n, per_channel=True), "plain") for n in (1, 2, 3)]
         residuals = [percent(fit.residual) for fit in fits]
         rows.append([name, percent(level), *residuals, percent(fits[2].held_out), fits[2].verdict.name])

@@ -56,9 +56,9 @@ def main():
         heads = ["solve", "within 1 % of best", "worst ratio", "texels/s", "× Optimistix", "× scipy", "good"]
         report.table(heads, rows)
         report.text(
-            "Best: the least residual of four starts of scipy's `least_squares` in float64, one of them the truth (target "
-            "99.9 % within 1 % of it; 2,000 texels/s; 4 × a vmapped `optimistix.LevenbergMarquardt` with its default "
-            "linear solver over all parameters jointly, from the mirror lobe; 20 × scipy from one start, per texel: "
+            "Best: the least residual of four starts of scipy's `least_squares` in float64, one of them the truth "
+            "(target 99.9 % within 1 % of it; 2,000 texels/s; 4 × a vmapped `optimistix.LevenbergMarquardt` with its "
+            "default linear solver over all parameters jointly, from the mirror lobe; 20 × scipy from one start, per texel: "
             f"{1 / scipy_seconds:.0f}/s here)."
         )
 

@@ -22,8 +22,8 @@ def fit(values, weight=None, data=None, **options) -> Fits:
     """In float32, always of one shape, so that one program is compiled."""
     data = data or made()
     weight = np.ones(values.shape[:2]) if weight is None else weight
-    given = (jnp.asarray(a, jnp.float32) for a in (data.omega_i, data.omega_o, values, weight))
-    return fit_lobes(*given, Options(**options))
+    given = [jnp.asarray(a, jnp.float32) for a in (data.omega_i, data.omega_o, values, weight)]
+    return fit_lobes(*given, options=Options(**options))
 
 
 def of_truth(data) -> np.ndarray:
@@ -178,10 +178,10 @@ def test_gradients_are_finite_with_bad_items_in_the_batch():
     data = made()
     values = data.values.copy()
     values[3], values[4], values[5] = np.nan, 0, 0.3
-    directions = [jnp.asarray(a, jnp.float32) for a in (data.omega_i, data.omega_o)]
+    omega_i, omega_o = (jnp.asarray(a, jnp.float32) for a in (data.omega_i, data.omega_o))
 
     def total(values):
-        brdf = fit_lobes(*directions, values).brdf
+        brdf = fit_lobes(omega_i, omega_o, values).brdf
         return jnp.sum(jnp.log(brdf.exponent)) + jnp.sum(brdf.diffuse) + jnp.sum(brdf.scale)
 
     broken = jax.grad(total)(jnp.asarray(values, jnp.float32))
@@ -193,10 +193,10 @@ def test_gradients_are_finite_with_bad_items_in_the_batch():
 
 
 def optimum_of(data):
-    directions = [jnp.asarray(a) for a in (data.omega_i, data.omega_o)]
+    omega_i, omega_o = (jnp.asarray(a) for a in (data.omega_i, data.omega_o))
 
     def optimum(values):
-        brdf = fit_lobes(*directions, values, options=Options(starts=1, rtol=1e-20)).brdf
+        brdf = fit_lobes(omega_i, omega_o, values, options=Options(starts=1, rtol=1e-20)).brdf
         return jnp.log(brdf.exponent), brdf.C, brdf.diffuse, brdf.scale
 
     return optimum
