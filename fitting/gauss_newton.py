@@ -20,7 +20,7 @@ class NormalEquations(eqx.Module):
     gradient: Float[Array, " k"]
     hessian: Float[Array, "k k"]
 
-    def as_minimum(self) -> optx.FunctionInfo.EvalGradHessian:
+    def as_minimum(self) -> optx.FunctionInfo:
         """As Optimistix's searches take it."""
         operator = lx.MatrixLinearOperator(self.hessian, lx.positive_semidefinite_tag)
         return optx.FunctionInfo.EvalGradHessian(self.f, self.gradient, operator)

@@ -15,7 +15,6 @@ from fitting.stack import Stack
 from jaxrelight import store
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.turned import turned
 from jaxrelight.geometry.frame import tangent_frame
 
 # Texels of a chunk: the unit of progress and of resuming.
@@ -124,8 +123,8 @@ def _fit_texels(images, usable, normals, lights, views, options: Options) -> Flo
     omega_i, omega_o, values, weight = _prepared(images, usable, *directions)
 
     def turned_by(angle: Float[Array, " p"]) -> Fits:
-        sides = (turned(omega, angle[:, None]) for omega in (omega_i, omega_o))
-        return fit_lobes(*sides, values, weight, options)
+        sides = (_around(omega, -angle) for omega in (omega_i, omega_o))
+        return fit_lobes(*sides, values, weight, options=options)
 
     angle = jnp.zeros(len(values))
     if options.anisotropic:

@@ -8,17 +8,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int
 
 from fitting.chart import EXPONENTS, Chart, chart_around
-from fitting.gauss_newton import SmallLevenbergMarquardt
+from fitting.gauss_newton import NormalEquations, SmallLevenbergMarquardt
 from fitting.residuals import columns, factors, normal_equations, residual
 from fitting.samples import Samples, prepare
 from fitting.small_systems import solve_positive
 from fitting.starts import best_additions
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
+
+Arrays = Array | np.ndarray
 
 # Items solved together: a slow one holds up as many, and their samples fit a processor's cache.
 BLOCK = 64
@@ -106,10 +109,11 @@ class Fits(eqx.Module):
 
 
 def fit_lobes(
-    omega_i: Float[Array, "t s 3"],
-    omega_o: Float[Array, "t s 3"],
-    values: Float[Array, "t s c"],
-    weight: Float[Array, "t s"] | None = None,
+    omega_i: Float[Arrays, "t s 3"],
+    omega_o: Float[Arrays, "t s 3"],
+    values: Float[Arrays, "t s c"],
+    weight: Float[Arrays, "t s"] | None = None,
+    *,
     options: Options = Options(),
 ) -> Fits:
     """Fits diffuse/π + Σ_l scale_l · max(0, ω_oᵀC_lω_i)ⁿˡ to the samples of every item, in weighted least squares.
@@ -206,13 +210,16 @@ def _fit(samples: Samples, options: Options) -> _Found:
     C, exponent = _search(jax.lax.stop_gradient(samples), options)
     order = jnp.argsort(exponent)
     chart, start = chart_around(C[order], exponent[order], options.anisotropic)
-    unknowns = _solve(start, (chart, samples), options).value
+    solution = _solve(start, (chart, samples), options)
+    unknowns = solution.value
     C, exponent = chart.lobes(unknowns)
     G = columns(C, exponent, samples.products) * samples.root_weight
     values = samples.values * samples.root_weight
     a = factors(G, values)
     squares = jnp.sum(jnp.square(a @ G - values))
-    exponent_deviation, C_deviation = _deviations(*jax.lax.stop_gradient((unknowns, chart, samples)))
+    freedom = samples.used * len(values) - unknowns.size - a.size
+    at = jax.lax.stop_gradient(solution.state.at)
+    exponent_deviation, C_deviation = _deviations(at, jax.lax.stop_gradient(unknowns), chart, freedom)
     return _Found(C, exponent, a, squares, exponent_deviation, C_deviation)
 
 
@@ -236,23 +243,19 @@ def _search(samples: Samples, options: Options) -> tuple[Float[Array, "l 3"], Fl
         best = jnp.argmin(losses)
         return found_C[best], found_exponent[best], losses[best]
 
-    dtype = samples.values.dtype
-    C, exponent = jnp.zeros((0, 3), dtype), jnp.zeros(0, dtype)
-    loss = jnp.asarray(jnp.inf, dtype)
-    for _ in range(options.lobes):
-        C, exponent, loss = add(C, exponent)
-    if options.lobes == 1:
-        return C, exponent
-
     def exchange(lobes, _):
         C, exponent, loss = lobes
         new = add(C[1:], exponent[1:])
-        # The lobe that was kept goes to the end, so that each has its turn.
+        # A lobe that was kept goes to the end, so that each has its turn.
         old = jnp.roll(C, -1, axis=0), jnp.roll(exponent, -1), loss
         return jax.tree.map(lambda a, b: jnp.where(new[2] < loss, a, b), new, old), None
 
-    lobes, _ = jax.lax.scan(exchange, (C, exponent, loss), length=options.exchanges * options.lobes)
-    return lobes[:2]
+    # Lobes that point into the surface are 0 above it: they stand for those not found yet.
+    dtype = samples.values.dtype
+    absent = jnp.tile(jnp.asarray([0, 0, -1], dtype), (options.lobes, 1)), jnp.ones(options.lobes, dtype)
+    turns = 1 if options.lobes == 1 else options.lobes * (1 + options.exchanges)
+    (C, exponent, _), _ = jax.lax.scan(exchange, (*absent, jnp.asarray(jnp.inf, dtype)), length=turns)
+    return C, exponent
 
 
 def _solve(start, given, options: Options) -> optx.Solution:
@@ -270,13 +273,11 @@ def _solve(start, given, options: Options) -> optx.Solution:
     )
 
 
-def _deviations(unknowns, chart: Chart, samples: Samples) -> tuple[Float[Array, " l"], Float[Array, " l"]]:
-    """Standard deviations of log exponent and of C, from (JᵀJ)⁻¹ and the residual."""
-    at = normal_equations(unknowns, (chart, samples))
-    l, c = len(unknowns), len(samples.values)
-    freedom = samples.used * c - unknowns.size - c * (1 + l)
-    identity = jnp.eye(unknowns.size, dtype=unknowns.dtype)
-    inverse = jax.vmap(lambda e: solve_positive(at.hessian, e))(identity)
+def _deviations(
+    at: NormalEquations, unknowns: Float[Array, "l q"], chart: Chart, freedom: Int[Array, ""]
+) -> tuple[Float[Array, " l"], Float[Array, " l"]]:
+    """Standard deviations of log exponent and of C, from (JᵀJ)⁻¹ and the residual over its degrees of freedom."""
+    inverse = jax.vmap(lambda e: solve_positive(at.hessian, e))(jnp.eye(unknowns.size, dtype=unknowns.dtype))
     variance = jnp.diagonal(inverse) * 2 * at.f / jnp.maximum(freedom, 1)
     determined = (jnp.diagonal(at.hessian) > 0) & (freedom > 0) & jnp.isfinite(variance) & (variance >= 0)
     deviation = jnp.where(determined, jnp.sqrt(jnp.where(determined, variance, 1)), jnp.inf).reshape(unknowns.shape)

@@ -42,10 +42,10 @@ class LobeSum(Brdf):
         """
         along = self.C * self._in_axes(omega_o)
         peak = safe.normalize(along)
-        return peak if self.turn is None else _turned(peak, self.turn), safe.norm(along)
+        return peak if self.turn is None else turned(peak, self.turn), safe.norm(along)
 
     def _in_axes(self, omega: Float[Array, "3"]) -> Float[Array, "3"]:
-        return omega if self.turn is None else _turned(omega, -self.turn)
+        return omega if self.turn is None else turned(omega, -self.turn)
 
     @property
     def channels(self) -> int:
@@ -64,8 +64,8 @@ class LobeSum(Brdf):
         return self.diffuse + 2 * math.pi * jnp.sum(self.scale * share, axis=0)
 
 
-def _turned(vectors: Float[Array, "... 3"], angle: Float[Array, ""]) -> Float[Array, "... 3"]:
-    """Turned about z, counter-clockwise."""
+def turned(vectors: Float[Array, "... 3"], angle: Float[Array, ""]) -> Float[Array, "... 3"]:
+    """Vectors turned about z by an angle in radians, counter-clockwise seen from above."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return jnp.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)

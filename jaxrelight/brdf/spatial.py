@@ -7,7 +7,6 @@ from jaxtyping import Array, Float
 
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.texture import Texture
-from jaxrelight.brdf.turned import Turned
 
 
 class SpatialLobes(eqx.Module):
@@ -39,7 +38,7 @@ class SpatialLobes(eqx.Module):
         """(rows, columns) of texels."""
         return self.diffuse.shape[0], self.diffuse.shape[1]
 
-    def at(self, uv: Float[Array, "*p 2"]) -> Turned:
+    def at(self, uv: Float[Array, "*p 2"]) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
         Parameters are interpolated between texels: C by components and then to max|C| = 1 again, exponents by their
@@ -59,5 +58,4 @@ class SpatialLobes(eqx.Module):
         C = jnp.where(largest > 0, C / jnp.where(largest > 0, largest, 1), 0)
         none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
         angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
-        brdf = LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], lobes, c))
-        return Turned(brdf, angle)
+        return LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], lobes, c), angle)

@@ -20,6 +20,8 @@ PROGRAMS = (
     "mesh_size",
     "large_scenes",
     "second_render",
+    "fit_speed",
+    "fit_materials",
 )
 
 

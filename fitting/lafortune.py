@@ -1,0 +1,136 @@
+"""One material as Lafortune lobes, with an account of how far they can be trusted."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from fitting.brdf_samples import BrdfSamples, Grid, sample
+from fitting.solve import Options, Verdict, fit_lobes
+from fitting.weights import weights
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.errors import InputError
+
+# Edges of the bins by angle.
+DEGREES = np.arange(0, 91, 10)
+
+
+@dataclasses.dataclass(frozen=True)
+class LafortuneFit:
+    """A fit, and its account.
+
+    Attributes:
+        brdf: what the renderer takes.
+        residual: root mean square of fit − samples over that of the samples, weighted.
+        held_out: the same over samples that took no part in a fit to the others; NaN if none were held out.
+        by_angle: the residual of samples whose angle lies between two of `DEGREES`, for the angles of incidence
+            ("incident"), of the half vector ("half") and of the light to it ("difference"); NaN where there are none.
+        verdict: judged by residual and uncertainty, never by whether a solver stopped.
+        exponent_deviation: standard deviation of each log exponent, from the Jacobian; [l, c1].
+        C_deviation: that of the direction of C, in radians; [l, c1].
+        used: number of samples with weight.
+        masked: number of samples left out because they are not finite.
+    """
+
+    brdf: LobeSum
+    residual: float
+    held_out: float
+    by_angle: dict[str, Float[np.ndarray, " b"]]
+    verdict: Verdict
+    exponent_deviation: Float[np.ndarray, "l c1"]
+    C_deviation: Float[np.ndarray, "l c1"]
+    used: int
+    masked: int
+
+
+def fit_lafortune(
+    material: Brdf | BrdfSamples,
+    options: Options = Options(),
+    weight: str = "cosine",
+    hold_out: float = 0.1,
+    grid: Grid | None = None,
+) -> LafortuneFit:
+    """Fits lobes to a BRDF or to samples of one (Lafortune 1997 §3).
+
+    Args:
+        material: a BRDF is sampled over `grid`.
+        options: number and kind of lobes, and how they are sought.
+        weight: a name that `weights` knows.
+        hold_out: share of the samples, chosen evenly, that a second fit does without and is judged by; 0 for none.
+        grid: where to sample; by default `Grid()`, with 12 rotations for anisotropic lobes.
+
+    Raises:
+        InputError: for an unknown weight, a share outside 0 … 0.5, or a grid given for samples.
+    """
+    if not 0 <= hold_out <= 0.5:
+        raise InputError(f"hold_out must be from 0 to 0.5, not {hold_out}")
+    if isinstance(material, BrdfSamples):
+        if grid is not None:
+            raise InputError("a grid is for a BRDF; samples have their own directions")
+        samples = material
+    else:
+        samples = sample(material, grid or Grid(rotations=12 if options.anisotropic else 1))
+    weight_of = weights(weight, samples)
+    held = _chosen(len(samples.values), hold_out)
+    fits = fit_lobes(
+        samples.omega_i,
+        samples.omega_o,
+        jnp.asarray(np.broadcast_to(samples.values, (2, *samples.values.shape)), jnp.float32),
+        np.stack([weight_of, np.where(held, 0, weight_of)]),
+        options=options,
+    )
+    brdf, without = (jax.tree.map(lambda leaf, i=i: leaf[i], fits.brdf) for i in (0, 1))
+    error, size = _squares(brdf, samples, weight_of)
+    return LafortuneFit(
+        brdf=brdf,
+        residual=float(fits.residual[0]),
+        held_out=_ratio(*_squares(without, samples, weight_of), held),
+        by_angle={
+            name: np.array([_ratio(error, size, index == b) for b in range(len(DEGREES) - 1)])
+            for name, index in _bins(samples).items()
+        },
+        verdict=Verdict(int(fits.verdict[0])),
+        exponent_deviation=np.asarray(fits.exponent_deviation[0]),
+        C_deviation=np.asarray(fits.C_deviation[0]),
+        used=int(fits.used[0]),
+        masked=int(fits.masked[0]),
+    )
+
+
+def _chosen(count: int, share: float) -> np.ndarray:
+    """Marks a share of the indices, spread as multiples of the golden ratio are: in step with no grid."""
+    return np.arange(count) * ((5**0.5 - 1) / 2) % 1 < share
+
+
+def _squares(brdf: LobeSum, samples: BrdfSamples, weight) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted squares of fit − samples, and of the samples; 0 where a sample is missing."""
+    fitted = jax.vmap(brdf.evaluate)(
+        jnp.asarray(samples.omega_i, jnp.float32), jnp.asarray(samples.omega_o, jnp.float32)
+    )
+    used = np.isfinite(samples.values).all(axis=-1) & (weight > 0)
+    values = np.where(used[:, None], samples.values, 0)
+    difference = np.where(used[:, None], np.asarray(fitted, float) - values, 0)
+    weight = np.where(used, weight, 0)
+    return weight * np.square(difference).sum(axis=-1), weight * np.square(values).sum(axis=-1)
+
+
+def _ratio(error, size, where) -> float:
+    total = size[where].sum()
+    return float(np.sqrt(error[where].sum() / total)) if total > 0 else float("nan")
+
+
+def _bins(samples: BrdfSamples) -> dict[str, np.ndarray]:
+    half = samples.omega_i + samples.omega_o
+    half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
+    cosines = {
+        "incident": samples.omega_i[:, 2],
+        "half": half[:, 2],
+        "difference": np.sum(samples.omega_i * half, axis=-1),
+    }
+    return {
+        name: np.digitize(np.degrees(np.arccos(np.clip(cosine, -1, 1))), DEGREES) - 1
+        for name, cosine in cosines.items()
+    }

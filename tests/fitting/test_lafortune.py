@@ -1,0 +1,130 @@
+import json
+
+import numpy as np
+import pytest
+
+from fitting.brdf_samples import BrdfSamples, Grid, sample
+from fitting.lafortune import DEGREES, fit_lafortune
+from fitting.solve import Options, Verdict
+from fitting.weights import weights
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
+from jaxrelight.brdf.lobes import lobe, lobe_sum
+from jaxrelight.errors import InputError
+from tests.shared_data import shared
+
+COARSE = Grid(half=16, difference=8, azimuth=6)
+THREE = Options(lobes=3, per_channel=True)
+
+
+def published(name: str):
+    material = json.loads(shared("data", "published", "lafortune_published.json").read_text())["materials"][name]
+    lobes = [
+        lobe(np.stack([one["Cxy"], one["Cxy"], one["Cz"]], axis=-1), one["n"], specular=1) for one in material["lobes"]
+    ]
+    return lobe_sum(material["diffuse"], lobes)
+
+
+@pytest.mark.parametrize("name", ["clay", "skin", "felt", "primer", "bluepaint", "brushedmetal"])
+def test_a_published_material_is_recovered_to_its_noise(name):
+    exact = sample(published(name))
+    noise = 0.01 * exact.values * np.random.default_rng(0).normal(size=exact.values.shape)
+    noisy = exact.values + noise
+    fit = fit_lafortune(BrdfSamples(exact.omega_i, exact.omega_o, noisy), THREE, weight="plain")
+    level = np.linalg.norm(noise) / np.linalg.norm(noisy)
+    # Below the noise by what the unknowns take up, above it by nothing.
+    assert 0.97 * level < fit.residual <= level
+    assert fit.held_out < 1.35 * level
+    assert np.all(np.diff(np.asarray(fit.brdf.exponent), axis=0) >= 0)
+    assert fit.brdf.C.shape == (3, 3, 3)
+
+
+def test_a_lobe_is_recovered_and_accounted_for():
+    truth = lobe_sum([0.3, 0.2, 0.1], [lobe([-1, -1, 0.9], 40.0, specular=[0.5, 0.6, 0.7])])
+    fit = fit_lafortune(truth, grid=COARSE)
+    assert fit.verdict == Verdict.GOOD
+    assert fit.residual < 1e-4
+    assert fit.held_out < 1e-4
+    assert (fit.masked, fit.used) == (0, len(COARSE.directions()[0]))
+    np.testing.assert_allclose(fit.brdf.exponent, truth.exponent, rtol=1e-3)
+    np.testing.assert_allclose(fit.brdf.C, truth.C, atol=1e-3)
+    np.testing.assert_allclose(fit.brdf.scale, truth.scale, rtol=2e-3)
+    np.testing.assert_allclose(fit.brdf.diffuse, truth.diffuse, rtol=2e-3)
+    assert fit.exponent_deviation.shape == fit.C_deviation.shape == (1, 1)
+
+
+def test_residuals_by_angle_add_up_to_the_whole():
+    """Where f is one constant, and the weight plain, the bins' squares are weighed by their counts."""
+    samples = sample(lobe_sum(0.5, []), COARSE)
+    ripple = np.where(np.arange(len(samples.values)) % 2, 1.1, 0.9)[:, None]
+    samples = BrdfSamples(samples.omega_i, samples.omega_o, samples.values * ripple)
+    fit = fit_lafortune(samples, weight="plain")
+    for relative in fit.by_angle.values():
+        assert len(relative) == len(DEGREES) - 1
+        shown = relative[np.isfinite(relative)]
+        assert shown.min() - 1e-6 <= fit.residual <= shown.max() + 1e-6
+        assert np.all((shown > 0.02) & (shown < 0.2))
+
+
+def test_what_is_held_out_is_not_seen():
+    """Samples that contradict all others: the fit that does without them cannot predict them."""
+    samples = sample(lobe_sum(0.5, []), COARSE)
+    held = np.arange(len(samples.values)) * ((5**0.5 - 1) / 2) % 1 < 0.1
+    values = samples.values * np.where(held, 3, 1)[:, None]
+    fit = fit_lafortune(BrdfSamples(samples.omega_i, samples.omega_o, values), weight="plain")
+    np.testing.assert_allclose(fit.held_out, 2 / 3, rtol=0.02)
+    assert fit.residual < fit.held_out
+
+
+def test_an_anisotropic_material_needs_an_anisotropic_lobe():
+    truth = lobe_sum(0.1, [lobe([-1, -0.8, 0.9], 20.0, specular=0.7)])
+    grid = Grid(half=10, difference=6, azimuth=6, rotations=8)
+    uneven = fit_lafortune(truth, Options(anisotropic=True), grid=grid)
+    even = fit_lafortune(truth, grid=grid)
+    assert uneven.residual < 1e-3
+    assert even.residual > 0.05
+    np.testing.assert_allclose(uneven.brdf.C, truth.C, atol=2e-3)
+    np.testing.assert_array_equal(even.brdf.C[..., 0], even.brdf.C[..., 1])
+
+
+def test_another_model_is_fitted_as_far_as_lobes_can():
+    material = ashikhmin_shirley([0.3, 0.2, 0.1], 0.05, 60, 60)
+    one, two = (fit_lafortune(material, Options(lobes=n), grid=COARSE).residual for n in (1, 2))
+    assert two < 0.9 * one
+
+
+@pytest.mark.parametrize("name", ["plain", "cosine", "log-cosine"])
+def test_weights_are_those_documented(name):
+    samples = sample(lobe_sum([0.3, 0.2, 0.1], [lobe([-1, -1, 1], 40.0, specular=1.0)]), COARSE)
+    cosine, mean = samples.omega_i[:, 2], samples.values.mean(axis=1)
+    # The squared differences that the weight stands for, by a small change of the samples.
+    changed = mean * (1 + 1e-5)
+    typical = np.median(mean * cosine)
+    compress = {
+        "plain": lambda f: f,
+        "cosine": lambda f: f * cosine,
+        "log-cosine": lambda f: np.log1p(f * cosine / typical),
+    }
+    expected = np.square((compress[name](changed) - compress[name](mean)) / (changed - mean))
+    found = weights(name, samples)
+    np.testing.assert_allclose(found / found[0], expected / expected[0], rtol=1e-3)
+
+
+def test_the_grid_keeps_unit_directions_above_the_horizon():
+    grid = Grid(rotations=3)
+    for omega in grid.directions():
+        np.testing.assert_allclose(np.linalg.norm(omega, axis=-1), 1, rtol=1e-12)
+        assert omega[:, 2].min() >= grid.least_cosine
+
+
+def test_bad_input_is_named():
+    samples = sample(lobe_sum(0.5, []), COARSE)
+    with pytest.raises(InputError, match="unknown weight 'sine'; there are plain, cosine, log-cosine"):
+        fit_lafortune(samples, weight="sine")
+    with pytest.raises(InputError, match="hold_out must be from 0 to"):
+        fit_lafortune(samples, hold_out=0.9)
+    with pytest.raises(InputError, match="a grid is for a BRDF"):
+        fit_lafortune(samples, grid=COARSE)
+    with pytest.raises(InputError, match="omega_i must have the shape"):
+        BrdfSamples(samples.omega_i[:3], samples.omega_o, samples.values)
+    with pytest.raises(InputError, match="shape \\[samples, channels\\]"):
+        BrdfSamples(samples.omega_i, samples.omega_o, samples.values[:, 0])
