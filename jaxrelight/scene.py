@@ -3,16 +3,15 @@
 import dataclasses
 import difflib
 import pathlib
-import tomllib
 from collections.abc import Mapping, Sequence
-
-import numpy as np
 
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.files import load_brdf
+from jaxrelight.brdf.files.fitted import read_fitted, read_lobes
 from jaxrelight.brdf.material import Material, as_material, textured_lambert, textured_phong
+from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.errors import InputError
 from jaxrelight.geometry import mesh as meshes
@@ -22,6 +21,10 @@ from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
 from jaxrelight.scene_materials import from_file, made_light, read_texture, weighted
+from jaxrelight.toml_table import Table, read_toml
+
+# Of materials that are no mixtures.
+_TYPES = "lambert, phong, lafortune, ashikhmin_shirley, measured, fitted"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,18 +72,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
         InputError: for anything unknown, missing, of the wrong shape or not finite, by name.
     """
     path = pathlib.Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: cannot be read as a scene: it is not UTF-8 text; save it as that") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: cannot be read as a scene: {reason}; check the path") from None
-    try:
-        content = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also of numbers and lists without end
-        raise InputError(f"{path}: not a TOML file: {error}; correct it there") from None
-    root = _Table(content, str(path))
+    root = read_toml(path, "a scene")
     if root.has("light"):
         raise InputError(f"{path}: [[light]] is not supported yet; remove the lights and give an [environment]")
     camera = _camera(root.table("camera"))
@@ -116,97 +108,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions))
 
 
-class _Table:
-    """A TOML table that is read key by key; what is left at the end was misspelt or is not supported."""
-
-    def __init__(self, content, where: str):
-        if not isinstance(content, dict):
-            raise InputError(f"{where} must be a table")
-        self._content, self.where, self._asked = content, where, set()
-
-    def has(self, key: str) -> bool:
-        self._asked.add(key)
-        return key in self._content
-
-    def names(self) -> list[str]:
-        return list(self._content)
-
-    def get(self, key: str, *default):
-        if self.has(key):
-            return self._content[key]
-        if default:
-            return default[0]
-        unread = [name for name in self._content if name not in self._asked]
-        close = difflib.get_close_matches(key, unread, n=1)
-        fault = f"'{close[0]}' is not known; did you mean '{key}'?" if close else f"'{key}' is missing"
-        raise InputError(f"{self.where}: {fault}")
-
-    def table(self, key: str, *default) -> "_Table":
-        return _Table(self.get(key, *default), f"{self.where}: [{key}]")
-
-    def tables(self, key: str) -> list["_Table"]:
-        entries = self.get(key, [])
-        if not isinstance(entries, list):
-            raise InputError(f"{self.where}: '{key}' must be written as [[{key}]]")
-        return [_Table(entry, f"{self.where}: [[{key}]] number {i + 1}") for i, entry in enumerate(entries)]
-
-    def text(self, key: str, *default) -> str:
-        value = self.get(key, *default)
-        if not isinstance(value, str):
-            raise InputError(f"{self.where}: '{key}' must be text, not {value!r}")
-        return value
-
-    def number(self, key: str, *default) -> float:
-        return float(self.array(key, (), *default))
-
-    def whole(self, key: str, *default) -> int:
-        value = self.get(key, *default)
-        if not isinstance(value, int) or isinstance(value, bool):
-            raise InputError(f"{self.where}: '{key}' must be a whole number, not {value!r}")
-        return value
-
-    def truth(self, key: str) -> bool:
-        value = self.get(key)
-        if not isinstance(value, bool):
-            raise InputError(f"{self.where}: '{key}' must be true or false, not {value!r}")
-        return value
-
-    def array(self, key: str, shape: tuple[int, ...], *default) -> np.ndarray:
-        """Numbers of a given shape."""
-        return self._numbers(key, [shape], *default)
-
-    def channels(self, key: str, *default) -> np.ndarray:
-        """One number, or one for each channel."""
-        return self._numbers(key, [(), (3,)], *default)
-
-    def _numbers(self, key, shapes, *default):
-        value = self.get(key, *default)
-        try:
-            array = np.asarray(value, float)
-            plain = all(type(item) in (int, float) for item in np.asarray(value, object).ravel())
-        except (TypeError, ValueError, OverflowError):
-            array, plain = None, False
-        if array is None or not plain or array.shape not in shapes:
-            wanted = " or ".join(
-                "a number" if not shape else " × ".join(map(str, shape)) + " numbers" for shape in shapes
-            )
-            raise InputError(f"{self.where}: '{key}' must be {wanted}, not {value!r}")
-        if not (np.abs(array) < np.finfo(np.float32).max).all():
-            raise InputError(f"{self.where}: '{key}' must be finite, also as float32, not {value!r}")
-        return array
-
-    def finish(self):
-        self._suggest_unknown()
-
-    def _suggest_unknown(self):
-        for key in self._content:
-            if key not in self._asked:
-                close = difflib.get_close_matches(key, self._asked, n=1)
-                hint = f"; did you mean '{close[0]}'?" if close else f"; known are {', '.join(sorted(self._asked))}"
-                raise InputError(f"{self.where}: '{key}' is not known{hint}")
-
-
-def _camera(table: _Table) -> Camera:
+def _camera(table: Table) -> Camera:
     values = {
         "origin": tuple(table.array("origin", (3,))),
         "target": tuple(table.array("target", (3,))),
@@ -219,21 +121,21 @@ def _camera(table: _Table) -> Camera:
     try:
         return Camera(**values)
     except InputError as error:
-        raise _within(table, error) from None
+        raise table.within(error) from None
 
 
-def _environment(table: _Table, folder: pathlib.Path, zero_nonfinite: bool) -> Environment:
+def _environment(table: Table, folder: pathlib.Path, zero_nonfinite: bool) -> Environment:
     file, rotate_y, scale = table.text("file"), table.number("rotate_y", 0.0), table.number("scale", 1.0)
     layout = table.text("layout", "auto")
     table.finish()
     try:
         return load_environment(folder / file, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite)
     except InputError as error:
-        raise _within(table, error) from None
+        raise table.within(error) from None
 
 
 def _parts(
-    table: _Table, folder: pathlib.Path, materials: Mapping[str, Brdf | Material]
+    table: Table, folder: pathlib.Path, materials: Mapping[str, Brdf | Material]
 ) -> tuple[list[Part], dict[str, Brdf | Material], list[str]]:
     """The parts of one [[mesh]], the materials that its file brings, and what was assumed of them."""
     if table.has("file") == table.has("primitive"):
@@ -245,7 +147,7 @@ def _parts(
     if chosen and whole:
         raise InputError(f"{table.where}: give either 'material' for all of it or 'materials' by part")
 
-    def known(owner: _Table, key: str) -> str:
+    def known(owner: Table, key: str) -> str:
         material = owner.text(key)
         if material not in materials:
             close = difflib.get_close_matches(material, materials, n=1)
@@ -262,7 +164,7 @@ def _parts(
             read = meshes.load_parts(folder / name)
         read = _placed(table, read)
     except InputError as error:
-        raise _within(table, error) from None
+        raise table.within(error) from None
     if whole:
         parts = [Part(part.mesh, known(table, "material"), short) for part in read]
         table.finish()
@@ -295,7 +197,7 @@ def file_parts(
     return parts, materials, notes
 
 
-def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
+def _placed(table: Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
     """All parts of a file normalized and transformed together; subdivided, two-sided and with tangents as asked."""
     two_sided = table.truth("two_sided") if table.has("two_sided") else None
     tangents = table.text("tangents", "normal")
@@ -320,7 +222,7 @@ def _placed(table: _Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.Mesh
     return placed
 
 
-def _primitive(table: _Table) -> Mesh:
+def _primitive(table: Table) -> Mesh:
     kind = table.text("primitive")
     if kind == "plane":
         return primitives.plane(tuple(table.array("size", (2,), (1, 1))), table.whole("resolution", 64))
@@ -331,7 +233,7 @@ def _primitive(table: _Table) -> Mesh:
     raise InputError(f"{table.where}: primitive '{kind}' is not known; known are plane, sphere, box")
 
 
-def _mixture(table: _Table, folder: pathlib.Path, others: Mapping[str, Brdf | Material]) -> Material:
+def _mixture(table: Table, folder: pathlib.Path, others: Mapping[str, Brdf | Material]) -> Material:
     """Other materials, each times a number, a colour or a mask."""
     table.text("type")
     components = []
@@ -353,17 +255,17 @@ def _mixture(table: _Table, folder: pathlib.Path, others: Mapping[str, Brdf | Ma
     return Material(tuple(components), bumps)
 
 
-def _colour(table: _Table, key: str, folder: pathlib.Path, *, data: bool = False) -> Texture:
+def _colour(table: Table, key: str, folder: pathlib.Path, *, data: bool = False) -> Texture:
     """A number, a colour or an image file."""
     if not isinstance(table.get(key), str):
-        return constant(_not_negative(table, key))
+        return constant(table.not_negative(key))
     try:
         return read_texture(folder / table.text(key), data=data)
     except InputError as error:
-        raise _within(table, error) from None
+        raise table.within(error) from None
 
 
-def _normal_map(table: _Table, folder: pathlib.Path) -> Texture | None:
+def _normal_map(table: Table, folder: pathlib.Path) -> Texture | None:
     if not table.has("normal_map"):
         return None
     if not isinstance(table.get("normal_map"), str):
@@ -371,7 +273,7 @@ def _normal_map(table: _Table, folder: pathlib.Path) -> Texture | None:
     return _colour(table, "normal_map", folder, data=True)
 
 
-def _material(table: _Table, folder: pathlib.Path) -> tuple[Brdf | Material, list[str]]:
+def _material(table: Table, folder: pathlib.Path) -> tuple[Brdf | Material, list[str]]:
     """A material, and what was mended or approximated in its file."""
     kind, read = table.text("type"), []
     try:
@@ -379,58 +281,37 @@ def _material(table: _Table, folder: pathlib.Path) -> tuple[Brdf | Material, lis
             brdf = textured_lambert(_colour(table, "albedo", folder))
         elif kind == "phong" and any(isinstance(table.get(key), str) for key in ("diffuse", "specular")):
             colours = _colour(table, "diffuse", folder), _colour(table, "specular", folder)
-            brdf = textured_phong(*colours, _not_negative(table, "exponent"))
+            brdf = textured_phong(*colours, table.not_negative("exponent"))
         elif kind == "lambert":
-            brdf = lobes.lambert(_not_negative(table, "albedo"))
+            brdf = lobes.lambert(table.not_negative("albedo"))
         elif kind == "phong":
             brdf = lobes.phong(
-                _not_negative(table, "diffuse"), _not_negative(table, "specular"), _not_negative(table, "exponent")
+                table.not_negative("diffuse"), table.not_negative("specular"), table.not_negative("exponent")
             )
         elif kind == "lafortune":
-            made = [_lafortune_lobe(lobe) for lobe in table.tables("lobes")]
-            brdf = lobes.lobe_sum(_not_negative(table, "diffuse"), made)
+            brdf = read_lobes(table)
         elif kind == "ashikhmin_shirley":
             brdf = ashikhmin_shirley(table.channels("kd"), table.channels("ks"), table.number("nu"), table.number("nv"))
         elif kind == "measured":
             measured = load_brdf(folder / table.text("file"))
             brdf, read = measured.brdf, list(measured.notes)
-        elif kind in ("fitted", "sbrdf"):
-            raise InputError(
-                f"type '{kind}' is not supported yet; use lambert, phong, lafortune, ashikhmin_shirley or measured"
-            )
+        elif kind == "fitted":
+            brdf = read_fitted(folder / table.text("file"))
+            if isinstance(brdf, Separable) and table.has("terms"):
+                raise InputError("'terms' are those of the file of factors; remove it, or fit factors anew")
+        elif kind == "sbrdf":
+            raise InputError(f"type '{kind}' is not supported yet; use {_TYPES}")
         else:
-            known = "lambert, phong, lafortune, ashikhmin_shirley, measured"
-            raise InputError(f"type '{kind}' is not known; known are {known}")
+            raise InputError(f"type '{kind}' is not known; known are {_TYPES}")
     except InputError as error:
-        raise _within(table, error) from None
+        raise table.within(error) from None
     bumps = _normal_map(table, folder)
     table.finish()
     return (brdf if bumps is None else Material(as_material(brdf).components, bumps)), read
 
 
-def _within(table: _Table, error: InputError) -> InputError:
-    """The error, told with the place in the scene file that it comes from."""
-    message = str(error)
-    return InputError(message if message.startswith(table.where) else f"{table.where}: {message}")
-
-
-def _terms(table: _Table) -> int:
+def _terms(table: Table) -> int:
     terms = table.whole("terms")
     if terms < 1:
         raise InputError(f"{table.where}: 'terms' must be at least 1, not {terms}")
     return terms
-
-
-def _not_negative(table: _Table, key: str) -> np.ndarray:
-    value = table.channels(key)
-    if (value < 0).any():
-        raise InputError(f"{table.where}: '{key}' must not be negative")
-    return value
-
-
-def _lafortune_lobe(table: _Table):
-    C = table._numbers("C", [(3,), (3, 3)])
-    factors = {key: _not_negative(table, key) for key in ("specular", "peak") if table.has(key)}
-    made = lobes.lobe(C, _not_negative(table, "exponent"), **factors)
-    table.finish()
-    return made

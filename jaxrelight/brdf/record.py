@@ -10,9 +10,10 @@ from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.tabulated import Tabulated
 
-_KINDS = {kind.__name__: kind for kind in (Adaptive, AshikhminShirley, LobeSum, Tabulated)}
+_KINDS = {kind.__name__: kind for kind in (Adaptive, AshikhminShirley, LobeSum, Separable, Tabulated)}
 # Numbers of an array that JSON is to hold at most.
 _LONGEST = 4096
 

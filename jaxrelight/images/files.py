@@ -3,10 +3,8 @@
 import io
 import os
 import struct
-import uuid
 import warnings
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +13,11 @@ from jaxrelight.errors import InputError
 from jaxrelight.images.exr import read_exr, write_exr
 from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
 from jaxrelight.images.tone import srgb_decode, to_bytes, to_unit, tone_map
+from jaxrelight.whole_file import check_place, write_whole
 
 _PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 _READABLE = ".exr, .hdr, .pic, .png, .jpg"
-_WRITABLE = ".exr, .hdr, .pic, .png"
+_WRITABLE = ".exr", ".hdr", ".pic", ".png"
 
 
 def read_image(path: str | os.PathLike, max_pixels: int = 2**27) -> np.ndarray:
@@ -75,16 +74,16 @@ def write_image(path: str | os.PathLike, pixels, exposure: float = 0.0, *, alpha
     image = _as_image(path, pixels)
     suffix = path.suffix.lower()
     if suffix == ".exr":
-        _write_whole(path, lambda partial: write_exr(partial, image))
+        write_whole(path, lambda partial: write_exr(partial, image))
     elif suffix in (".hdr", ".pic"):
-        _write_whole(path, lambda partial: partial.write_bytes(encode_radiance(image)))
+        write_whole(path, lambda partial: partial.write_bytes(encode_radiance(image)))
     elif suffix == ".png":
         shown = tone_map(image, exposure)
         if alpha and image.shape[2] == 4:
             shown = np.concatenate([shown, to_bytes(to_unit(image[..., 3:]))], axis=-1)
-        _write_whole(path, lambda partial: _write_png(partial, shown))
+        write_whole(path, lambda partial: _write_png(partial, shown))
     else:
-        raise InputError(f"{path}: cannot write an image of kind {suffix!r}; use one of {_WRITABLE}")
+        raise InputError(f"{path}: cannot write an image of kind {suffix!r}; use one of {', '.join(_WRITABLE)}")
 
 
 def check_writable(path: str | os.PathLike) -> None:
@@ -93,13 +92,7 @@ def check_writable(path: str | os.PathLike) -> None:
     Raises:
         InputError: The extension is unknown, or the folder does not exist or must not be written to.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".exr", ".hdr", ".pic", ".png"):
-        raise InputError(f"{path}: cannot write an image of kind {path.suffix!r}; use one of {_WRITABLE}")
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; give the path of an image file")
-    if not path.absolute().parent.is_dir() or not os.access(path.absolute().parent, os.W_OK):
-        raise InputError(f"{path}: its folder does not exist or cannot be written to; make it first")
+    check_place(Path(path), _WRITABLE, "an image")
 
 
 def _check_regular(path: Path) -> None:
@@ -171,23 +164,6 @@ def _as_image(path: Path, pixels) -> np.ndarray:
         raise InputError(f"{path}: pixels to write are linear floating point values, not {pixels.dtype}")
     with np.errstate(over="ignore"):
         return pixels.astype(np.float32)
-
-
-def _write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    partial = path.with_name(f".{uuid.uuid4().hex}.partial")
-    try:
-        if not path.parent.is_dir():
-            raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is not a regular file; choose another name to write to")
-        try:
-            write(partial)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except (OSError, ValueError) as fault:  # ValueError: a name that cannot be a path
-        reason = getattr(fault, "strerror", None) or fault
-        raise InputError(f"{path}: cannot be written, {reason}; check space and rights") from fault
 
 
 def _write_png(path: Path, shown: np.ndarray) -> None:

@@ -24,6 +24,7 @@ from jaxrelight.brdf.factors import COSINE, Factored, check_terms, factor
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
+from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
@@ -199,8 +200,9 @@ def _plain(value):
 
 def _check_terms(scene: Scene, name: str, settings: Settings):
     """Refuses a number of factors that cannot be had, before any ray."""
-    glossy = any(not part.brdf.is_constant for part in as_material(scene.materials[name]).components)
-    if glossy and settings.receivers == "vertices":
+    brdfs = [part.brdf for part in as_material(scene.materials[name]).components]
+    factored = any(not brdf.is_constant and not isinstance(brdf, Separable) for brdf in brdfs)
+    if factored and settings.receivers == "vertices":
         try:
             check_terms(scene.terms.get(name, settings.terms), settings.factor_resolution)
         except InputError as error:
@@ -262,15 +264,19 @@ def _write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 def _factors(
     folder: pathlib.Path, brdf: Brdf, described: dict, terms: int, settings: Settings
 ) -> tuple[Factored | None, str | None]:
-    """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant."""
+    """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant.
+
+    What is given as factors is taken as it is, whatever the settings say.
+    """
     if settings.receivers == "pixels" and not brdf.is_constant:
         return None, None
-    key = store.key_of(described, terms, settings.factor_resolution, *COSINE)
+    dials = () if isinstance(brdf, Separable) else (terms, settings.factor_resolution, *COSINE)
+    key = store.key_of(described, *dials)
     path = folder / f"factors-{key}"
     with contextlib.suppress(InputError):
         return read_factors(store.open_layer(path)), path.name
     # Missing or damaged.
-    factors = factor(brdf, terms, settings.factor_resolution)
+    factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, settings.factor_resolution)
     _write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
     return factors, path.name
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxrelight import whole_file
 from jaxrelight.errors import InputError
-from jaxrelight.images import files, read_image, srgb_decode, tone_map, write_image
+from jaxrelight.images import read_image, srgb_decode, tone_map, write_image
 
 
 def _pixels(channels=3, height=20, width=30):
@@ -216,7 +217,7 @@ def test_a_failed_write_leaves_the_earlier_file(tmp_path, name, monkeypatch):
     def full_disk(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.os, "replace", full_disk)
+    monkeypatch.setattr(whole_file.os, "replace", full_disk)
     with pytest.raises(InputError, match="No space left on device"):
         write_image(path, 2 * _pixels())
     assert path.read_bytes() == earlier
@@ -230,7 +231,7 @@ def test_a_full_disk_is_told(tmp_path, name, monkeypatch, capfd):
         hex = "full"
 
     (tmp_path / ".full.partial").symlink_to("/dev/full")
-    monkeypatch.setattr(files.uuid, "uuid4", Full)
+    monkeypatch.setattr(whole_file.uuid, "uuid4", Full)
     with pytest.raises(InputError, match=rf"{name}: cannot be written, .*No space left on device"):
         write_image(tmp_path / name, _pixels())
     assert not list(tmp_path.iterdir())

@@ -1,0 +1,55 @@
+"""What a program of several commands does with its command line. Nothing heavy is imported, so that --help is quick."""
+
+import difflib
+import functools
+import operator
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import tyro
+
+from jaxrelight.compilation_cache import keep_compilations
+from jaxrelight.errors import InputError
+
+
+def run_command(prog: str, description: str, commands: Sequence[type], smaller: str) -> None:
+    """Runs the command that was asked for; exits with 1 and one line for bad input, 2 for a wrong command line.
+
+    130 is the status after an interruption.
+
+    Args:
+        prog: the program's name.
+        description: a sentence for --help.
+        commands: dataclasses of options whose method `run` takes none; each is called by its name in lower case.
+        smaller: what to do where the memory is used up.
+    """
+    names = [kind.__name__.lower() for kind in commands]
+    if len(sys.argv) > 1 and not sys.argv[1].startswith("-") and sys.argv[1] not in names:
+        close = difflib.get_close_matches(sys.argv[1], names, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(names)}"
+        print(f"{prog}: '{sys.argv[1]}' is not a command; {hint}", file=sys.stderr)
+        sys.exit(2)
+    command: Any = tyro.cli(
+        functools.reduce(operator.or_, commands),
+        prog=prog,
+        description=description,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+    keep_compilations()
+    try:
+        command.run()
+    except InputError as error:
+        print(f"{prog}: {error}", file=sys.stderr)
+        sys.exit(1)
+    except MemoryError:
+        print(f"{prog}: the memory is used up; {smaller}", file=sys.stderr)
+        sys.exit(1)
+    except BrokenPipeError:
+        # Whoever read the summary has gone, as `head` does; what is left of it goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt as stop:
+        done = "".join(f" at {note}" for note in getattr(stop, "__notes__", ()))
+        print(f"{prog}: stopped{done}; what is done is kept, run the same command to go on", file=sys.stderr)
+        sys.exit(130)
