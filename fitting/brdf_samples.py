@@ -31,6 +31,17 @@ class BrdfSamples:
             if getattr(self, name).shape != (s, 3):
                 raise InputError(f"{name} must have the shape [{s}, 3], not {list(getattr(self, name).shape)}")
 
+    def angles(self) -> dict[str, Float[np.ndarray, " s"]]:
+        """In degrees: of the light ("incident"), of the half vector ("half"), and between both ("difference")."""
+        half = self.omega_i + self.omega_o
+        half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
+        cosines = {
+            "incident": self.omega_i[:, 2],
+            "half": half[:, 2],
+            "difference": np.sum(self.omega_i * half, axis=-1),
+        }
+        return {name: np.degrees(np.arccos(np.clip(cosine, -1, 1))) for name, cosine in cosines.items()}
+
 
 @dataclasses.dataclass(frozen=True)
 class Grid:

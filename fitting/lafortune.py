@@ -8,14 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from fitting.brdf_samples import BrdfSamples, Grid, sample
+from fitting.residual_by_angle import Residual
 from fitting.solve import Options, Verdict, fit_lobes
 from fitting.weights import weights
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
-
-# Edges of the bins by angle.
-DEGREES = np.arange(0, 91, 10)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +24,10 @@ class LafortuneFit:
         brdf: what the renderer takes.
         residual: root mean square of fit − samples over that of the samples, weighted.
         held_out: the same over samples that took no part in a fit to the others; NaN if none were held out.
-        by_angle: the residual of samples whose angle lies between two of `DEGREES`, for the angles of incidence
-            ("incident"), of the half vector ("half") and of the light to it ("difference"); NaN where there are none.
+        by_angle: the residual of samples whose angle lies between two of `residual_by_angle.DEGREES`, for the angles
+            of incidence ("incident"), of the half vector ("half") and of the light to it ("difference"); NaN where
+            there are none.
+        by_difference_and_half: the same between two of them of the difference angle and two of the half angle.
         verdict: judged by residual and uncertainty, never by whether a solver stopped.
         exponent_deviation: standard deviation of each log exponent, from the Jacobian; [l, c1].
         C_deviation: that of the direction of C, in radians; [l, c1].
@@ -39,6 +39,7 @@ class LafortuneFit:
     residual: float
     held_out: float
     by_angle: dict[str, Float[np.ndarray, " b"]]
+    by_difference_and_half: Float[np.ndarray, "b b"]
     verdict: Verdict
     exponent_deviation: Float[np.ndarray, "l c1"]
     C_deviation: Float[np.ndarray, "l c1"]
@@ -83,15 +84,13 @@ def fit_lafortune(
         options=options,
     )
     brdf, without = (jax.tree.map(lambda leaf, i=i: leaf[i], fits.brdf) for i in (0, 1))
-    error, size = _squares(brdf, samples, weight_of)
+    residual = Residual(brdf, samples, weight_of)
     return LafortuneFit(
         brdf=brdf,
         residual=float(fits.residual[0]),
-        held_out=_ratio(*_squares(without, samples, weight_of), held),
-        by_angle={
-            name: np.array([_ratio(error, size, index == b) for b in range(len(DEGREES) - 1)])
-            for name, index in _bins(samples).items()
-        },
+        held_out=Residual(without, samples, weight_of).over(held),
+        by_angle={name: residual.by(name) for name in samples.angles()},
+        by_difference_and_half=residual.by_both("difference", "half"),
         verdict=Verdict(int(fits.verdict[0])),
         exponent_deviation=np.asarray(fits.exponent_deviation[0]),
         C_deviation=np.asarray(fits.C_deviation[0]),
@@ -103,34 +102,3 @@ def fit_lafortune(
 def _chosen(count: int, share: float) -> np.ndarray:
     """Marks a share of the indices, spread as multiples of the golden ratio are: in step with no grid."""
     return np.arange(count) * ((5**0.5 - 1) / 2) % 1 < share
-
-
-def _squares(brdf: LobeSum, samples: BrdfSamples, weight) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted squares of fit − samples, and of the samples; 0 where a sample is missing."""
-    fitted = jax.vmap(brdf.evaluate)(
-        jnp.asarray(samples.omega_i, jnp.float32), jnp.asarray(samples.omega_o, jnp.float32)
-    )
-    used = np.isfinite(samples.values).all(axis=-1) & (weight > 0)
-    values = np.where(used[:, None], samples.values, 0)
-    difference = np.where(used[:, None], np.asarray(fitted, float) - values, 0)
-    weight = np.where(used, weight, 0)
-    return weight * np.square(difference).sum(axis=-1), weight * np.square(values).sum(axis=-1)
-
-
-def _ratio(error, size, where) -> float:
-    total = size[where].sum()
-    return float(np.sqrt(error[where].sum() / total)) if total > 0 else float("nan")
-
-
-def _bins(samples: BrdfSamples) -> dict[str, np.ndarray]:
-    half = samples.omega_i + samples.omega_o
-    half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-12)
-    cosines = {
-        "incident": samples.omega_i[:, 2],
-        "half": half[:, 2],
-        "difference": np.sum(samples.omega_i * half, axis=-1),
-    }
-    return {
-        name: np.digitize(np.degrees(np.arccos(np.clip(cosine, -1, 1))), DEGREES) - 1
-        for name, cosine in cosines.items()
-    }

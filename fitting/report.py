@@ -37,10 +37,7 @@ def write_report(
         InputError: if matplotlib is not installed, or the folder cannot be made.
     """
     pyplot = _pyplot()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise InputError(f"{folder}: cannot be made ({fault.strerror}); give another folder for the report") from None
+    check_report(folder)
     files = [folder / "curves.png", folder / "spheres.png"]
     curves(pyplot, brdfs, files[0])
     write_image(files[1], spheres(list(brdfs.values())))
@@ -50,13 +47,17 @@ def write_report(
     return files
 
 
-def check_plots() -> None:
-    """Finds out before long work whether pictures can be drawn.
+def check_report(folder: pathlib.Path) -> None:
+    """Makes the folder of a report, and finds out before long work whether pictures can be drawn.
 
     Raises:
-        InputError: if matplotlib is not installed.
+        InputError: if matplotlib is not installed, or the folder cannot be made.
     """
     _pyplot()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise InputError(f"{folder}: cannot be made ({fault.strerror}); give another folder for the report") from None
 
 
 def _pyplot():

@@ -131,7 +131,7 @@ def test_unknown_name_is_an_attribute_error():
         _ = jaxrelight.bake
 
 
-@pytest.mark.parametrize("module", ["jaxrelight", "jaxrelight.cli"])
+@pytest.mark.parametrize("module", ["jaxrelight", "jaxrelight.cli", "fitting.cli"])
 def test_import_is_light(module: str):
     """`--help` must not wait for JAX, nor for anything that reads files or traces rays."""
     heavy = "jax", "numpy", "scipy", "equinox", "lineax", "trimesh", "zstandard", "OpenEXR", "PIL", "embreex", "rich"

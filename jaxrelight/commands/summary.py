@@ -39,6 +39,8 @@ import shutil
 import sys
 import textwrap
 
+_SHARES = "kept_energy", "covered", "error", "residual", "held_out", "by_angle", "refined"
+
 
 def summarize(summary: dict, as_json: bool) -> None:
     """Prints a summary: one JSON object, or a line for each entry."""
@@ -80,7 +82,7 @@ def _words(name: str, value) -> str:
         return f"{value:.3g} ms"
     if name.endswith("bytes"):
         return f"{value / 1e6:,.1f} MB" if value >= 1e5 else f"{value / 1e3:,.1f} kB"
-    if name in ("kept_energy", "covered", "error"):
+    if name in _SHARES:
         return f"{100 * value:.4g} %"
     if name.startswith("rays") and value >= 1e6:
         return f"{value / 1e6:,.1f} million"

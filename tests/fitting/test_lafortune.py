@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fitting.brdf_samples import BrdfSamples, Grid, sample
-from fitting.lafortune import DEGREES, fit_lafortune
+from fitting.lafortune import fit_lafortune
+from fitting.residual_by_angle import DEGREES
 from fitting.solve import Options, Verdict
 from fitting.weights import weights
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley

@@ -40,10 +40,11 @@ def test_a_report_is_three_pictures(tmp_path):
         report.write_report(tmp_path / "file", {"data": lambert(0.3)})
 
 
-def test_without_matplotlib_one_line_says_what_to_install(monkeypatch):
+def test_without_matplotlib_one_line_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"install jaxrelight\[plots\]"):
-        report.check_plots()
+        report.check_report(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_heat_map_is_black_off_the_surface(tmp_path):

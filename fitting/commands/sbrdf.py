@@ -1,0 +1,125 @@
+"""jaxrelight-fit sbrdf: a stack of photographs into maps of lobes."""
+
+import dataclasses
+import pathlib
+import shutil
+import time
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from fitting.sbrdf import SbrdfFit
+    from fitting.stack import Stack
+
+
+@dataclasses.dataclass(frozen=True)
+class Sbrdf:
+    """Fit a Lafortune BRDF to every texel of photographs of one surface under many lights.
+
+    What is done stays done: run it again after a stop and it goes on.
+    """
+
+    stack: tyro.conf.Positional[pathlib.Path]
+    """A .npz file of images and light directions, or a .toml file that lists them."""
+    output: Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="MAPS.exr")]
+    """Maps of albedos, lobes, normals and residuals, a channel each."""
+    lobes: Literal[1, 2, 3] = 1
+    """How many for each texel, beside a diffuse part."""
+    anisotropic: bool = False
+    """Seek a direction of anisotropy for every texel."""
+    hold_out: int = 8
+    """Every so many images, one takes no part in the fit and is predicted by it; 0 fits to all."""
+    levels: bool = False
+    """Write coarser levels of detail too, each refitted to the mean BRDF of four texels."""
+    report: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    """Folder for pictures: a photograph beside what the fit has it as, and residuals by texel."""
+    json: bool = False
+    """Print one JSON object at the end."""
+
+    def run(self):
+        """Runs the command."""
+        start, seconds = time.perf_counter(), {}
+        import numpy as np
+
+        from fitting.commands.values import known
+        from fitting.report import check_report
+        from fitting.sbrdf import coarser, fit_sbrdf, lambert_only, predicted, relative_error
+        from fitting.solve import Options
+        from fitting.stack import load_stack
+        from jaxrelight.brdf.files.sbrdf import write_sbrdf
+        from jaxrelight.commands.progress import progress
+        from jaxrelight.commands.relight import timed
+        from jaxrelight.commands.summary import summarize, versions
+        from jaxrelight.errors import InputError
+        from jaxrelight.whole_file import check_place
+
+        check_place(self.output, [".exr"], "maps")
+        if self.hold_out < 0 or self.hold_out == 1:
+            raise InputError(f"--hold-out must be 0, or at least 2, not {self.hold_out}")
+        if self.report is not None:
+            check_report(self.report)
+        options = Options(lobes=self.lobes, anisotropic=self.anisotropic)
+        with timed(seconds, "load"):
+            stack = load_stack(self.stack)
+        held = np.zeros(len(stack.images), bool)
+        if self.hold_out:
+            held[self.hold_out - 1 :: self.hold_out] = True
+        fitted_to = stack.of(~held)
+        # Beside the output, so that the same command finds it and another one does not.
+        parts = self.output.with_name(f".{self.output.name}.parts")
+        with timed(seconds, "fit"), progress(self.json) as report:
+            fit = fit_sbrdf(fitted_to, options, parts, lambda done, total: report("texels", done, total))
+        levels, mask = [fit.level], fit.mask
+        if self.levels:
+            with timed(seconds, "levels"):
+                while max(mask.shape) > 1:
+                    level, mask = coarser(levels[-1], mask, options)
+                    levels.append(level)
+        with timed(seconds, "write"):
+            write_sbrdf(self.output, levels)
+            shutil.rmtree(parts, ignore_errors=True)
+        summary = {
+            "command": "sbrdf",
+            "data": str(self.stack),
+            "output": str(self.output),
+            "texels": int(fit.mask.sum()),
+            "images": int((~held).sum()),
+            "lobes": self.lobes,
+            "levels": [[level.lobes.shape[1], level.lobes.shape[0]] for level in levels],
+            "estimated_normals": fit.estimated,
+            "verdicts": fit.counts(),
+            "residual": known(relative_error(predicted(fit.level, fitted_to), fitted_to)),
+        }
+        if held.any():
+            unseen = stack.of(held)
+            alone = lambert_only(fitted_to, fit.level.normals)
+            summary["held_out_images"] = int(held.sum())
+            summary["held_out"] = {
+                "lambert": known(relative_error(predicted(alone, unseen), unseen)),
+                "lobes": known(relative_error(predicted(fit.level, unseen), unseen)),
+            }
+        if self.report is not None:
+            with timed(seconds, "report"):
+                shown = stack.of(held if held.any() else np.arange(len(held)) == 0)
+                summary["report"] = _pictures(self.report, fit, shown, predicted(fit.level, shown))
+        seconds["total"] = time.perf_counter() - start
+        summarize({**summary, "versions": versions(), "seconds": seconds}, self.json)
+
+
+def _pictures(folder: pathlib.Path, fit: "SbrdfFit", shown: "Stack", images: "np.ndarray") -> list[str]:
+    """The first of some images beside its prediction, and the residuals: the files."""
+    import numpy as np
+
+    from fitting.report import heat_map, side_by_side
+
+    files = [folder / "images.png", folder / "residuals.png"]
+    photograph = np.where(fit.mask[..., None], shown.images[0], 0)
+    exposure = -np.log2(max(float(photograph[fit.mask].mean()), 1e-12) / 0.25)
+    side_by_side([photograph, images[0]], exposure, files[0])
+    known = fit.level.residual[np.isfinite(fit.level.residual)]
+    largest = max(float(np.percentile(known, 99)), 1e-6) if known.size else 1.0
+    heat_map(fit.level.residual, fit.mask, largest, files[1])
+    return [str(file) for file in files]
