@@ -68,6 +68,8 @@ class Lafortune:
             report("fit", 0, 1)
             fit = fit_lafortune(measured.brdf, options, self.weight, self.hold_out)
             report("fit", 1, 1)
+        if (albedo := float(fit.brdf.normal_albedo.max())) > 1.01:
+            notes([f"the fit reflects {albedo:.3g} times the light it gets along the normal; try --weight log-cosine"])
         with timed(seconds, "write"):
             write_lobes(self.output, fit.brdf, self._remarks(measured, fit))
         summary = {

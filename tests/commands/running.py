@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import sys
+from collections.abc import Callable
 from unittest import mock
 
 from jaxrelight import cli
@@ -38,16 +39,16 @@ material = "gloss"
 DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
 
 
-def run(*arguments) -> tuple[int, str, str]:
-    """Runs a command in this process: (exit status, standard output, standard error)."""
+def run(*arguments, main: Callable[[], None] = cli.main) -> tuple[int, str, str]:
+    """Runs a command of a program in this process: (exit status, standard output, standard error)."""
     out, err, status = io.StringIO(), io.StringIO(), 0
     with (
-        mock.patch.object(sys, "argv", ["jaxrelight", *map(str, arguments)]),
+        mock.patch.object(sys, "argv", ["program", *map(str, arguments)]),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
         try:
-            cli.main()
+            main()
         except SystemExit as stop:
             status = stop.code
     assert isinstance(status, int)
@@ -66,11 +67,11 @@ def summary_of(result: tuple[int, str, str]) -> dict:
     return json.loads(out, parse_constant=refuse)
 
 
-def refusal_of(result: tuple[int, str, str]) -> str:
+def refusal_of(result: tuple[int, str, str], program: str = "jaxrelight") -> str:
     """The one line of a command that refused its input."""
     status, out, err = result
     assert status == 1
     assert out == ""
-    assert err.startswith("jaxrelight: ")
+    assert err.startswith(f"{program}: ")
     assert len(err.splitlines()) == 1
     return err
