@@ -7,7 +7,7 @@ import pytest
 
 from jaxrelight.errors import InputError
 from jaxrelight.images import read_image
-from jaxrelight.images.exr import read_exr, write_exr
+from jaxrelight.images.exr import read_channels, read_exr, write_channels, write_exr
 from tests.images import exr_writer
 from tests.images.exr_writer import Part
 from tests.shared_data import shared
@@ -348,3 +348,18 @@ def test_negative_values_are_passed_on():
     pixels = read_image(shared("data", "env", "pmndrs_lab.exr"))
     assert (pixels < 0).sum() == 2313
     assert pixels.min() == pytest.approx(-6.6, abs=0.05)
+
+
+def test_parts_of_several_sizes_come_back_by_name(path):
+    random = np.random.default_rng(0)
+    sizes = (5, 6), (3, 3), (1, 7)
+    parts = [
+        (f"level{i}", {"diffuse.R": random.random(size, np.float32), "flag": np.full(size, np.nan, np.float32)})
+        for i, size in enumerate(sizes)
+    ]
+    write_channels(path, parts)
+    found = read_channels(path, 100)
+    for (_, written), back in zip(parts, found, strict=True):
+        assert back.keys() == written.keys()
+        for name, plane in written.items():
+            np.testing.assert_array_equal(back[name], plane)

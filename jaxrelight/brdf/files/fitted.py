@@ -58,9 +58,12 @@ def read_lobes(table: Table) -> LobeSum:
 def _lobe(table: Table):
     C = table.numbers("C", [(3,), (3, 3)])
     factors = {key: table.not_negative(key) for key in ("specular", "peak") if table.has(key)}
-    made = lobe(C, table.not_negative("exponent"), **factors)
+    exponent = table.not_negative("exponent")
     table.finish()
-    return made
+    try:
+        return lobe(C, exponent, **factors)
+    except InputError as error:
+        raise table.within(error) from None
 
 
 def write_lobes(path: str | pathlib.Path, brdf: LobeSum, remarks: Sequence[str] = ()) -> None:

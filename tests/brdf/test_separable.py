@@ -1,0 +1,58 @@
+"""BRDFs that are given as factors."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from jaxrelight.brdf.factors import factor
+from jaxrelight.brdf.lobes import lambert, phong
+from jaxrelight.brdf.separable import Separable, separable
+
+OMEGA = np.random.default_rng(0).normal(size=(40, 3)) * [1, 1, 0.7]
+OMEGA = np.abs(OMEGA) * np.where(OMEGA < 0, [-1, -1, 1], 1)
+OMEGA /= np.linalg.norm(OMEGA, axis=1, keepdims=True)
+
+
+def _values(brdf, omega_i=OMEGA, omega_o=OMEGA[::-1]):
+    return jax.vmap(brdf.evaluate)(jnp.asarray(omega_i, jnp.float32), jnp.asarray(omega_o, jnp.float32))
+
+
+def test_it_is_the_sum_of_the_products_of_its_factors():
+    factors = factor(phong(0.2, [0.1, 0.3, 0.5], 4), 5, 12)
+    light, view = (
+        jax.vmap(side)(jnp.asarray(omega, jnp.float32))
+        for side, omega in ((factors.light_side, OMEGA), (factors.view_side, OMEGA[::-1]))
+    )
+    np.testing.assert_allclose(_values(separable(factors)), np.einsum("pkc,pkc->pc", light, view), rtol=1e-5, atol=1e-6)
+
+
+def test_enough_terms_are_the_brdf_itself():
+    """But at grazing angles, where maps end between texels."""
+    brdf = phong(0.2, [0.1, 0.3, 0.5], 3)
+    high = (OMEGA[:, 2] > 0.3) & (OMEGA[::-1, 2] > 0.3)
+    apart = _values(separable(factor(brdf, 30, 32))) - _values(brdf)
+    assert np.abs(apart[high]).max() < 0.01 * np.asarray(_values(brdf)).max()
+
+
+def test_symmetric_factors_stay_reciprocal():
+    made = separable(factor(phong(0.2, 0.4, 6), 3, 12, form="symmetric"))
+    np.testing.assert_allclose(_values(made), _values(made, OMEGA[::-1], OMEGA), rtol=1e-5, atol=1e-6)
+
+
+def test_a_constant_stays_one():
+    made = separable(factor(lambert([0.2, 0.4, 0.6])))
+    assert made.is_constant
+    assert made.channels == 3
+    np.testing.assert_allclose(_values(made), np.broadcast_to(np.array([0.2, 0.4, 0.6]) / np.pi, (40, 3)), rtol=1e-6)
+    assert not separable(factor(phong(0.2, 0.4, 6), 1, 8)).is_constant
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradients_in_maps_and_directions():
+    random = np.random.default_rng(1)
+    maps = [jnp.asarray(random.normal(size=(2, 3, 4, 4))) for _ in range(2)]
+    omega_i, omega_o = jnp.asarray(OMEGA[0]), jnp.asarray(OMEGA[1])
+    check_grads(lambda a, b: Separable(jnp.asarray(a), jnp.asarray(b)).evaluate(omega_i, omega_o), tuple(maps), order=1)
+    check_grads(lambda a, b: Separable(*maps).evaluate(a, b), (omega_i, omega_o), order=1)
