@@ -15,7 +15,7 @@ def solve_non_negative(gram: Float[Array, "m m"], moment: Float[Array, " m"]) ->
 
     The optimum is the unconstrained one of some set of columns: all 2^m sets are tried, which vectorises over a
     batch. Which set is best is held fixed in derivatives; they are those of the optimum wherever it changes smoothly.
-    A column of zeros gets 0. Columns that are multiples of each other share what they have in common evenly.
+    A column of zeros gets 0. How columns that are multiples of each other share is not defined.
     """
     # Unit columns, and a ridge of rounding's size that decides between dependent ones.
     length = jnp.sqrt(jnp.where(jnp.diagonal(gram) > 0, jnp.diagonal(gram), 1))

@@ -106,12 +106,13 @@ def fit_sbrdf(
                 layer.write(number, texels=found[number])
         report(min(len(place), (number + 1) * CHUNK), len(place))
     return SbrdfFit(
-        _as_level(found.reshape(-1, width)[: len(place)], stack.mask, normals, options), stack.mask, estimated
+        as_level(found.reshape(-1, width)[: len(place)], stack.mask, normals, options), stack.mask, estimated
     )
 
 
-def _samples(images, usable, normals, lights, views):
-    """Local directions [p, n, 3], values of f [p, n, 3] and weights [p, n]."""
+@jax.jit
+def prepared(images, usable, normals, lights, views):
+    """Local directions [p, n, 3], values of f [p, n, 3] and weights [p, n] of some texels."""
     frames = jax.vmap(tangent_frame)(normals)
     omega_i, omega_o = (jnp.einsum("pxy,ny->pnx", frames, side) for side in (lights, views))
     cosine = omega_i[..., 2]
@@ -123,18 +124,13 @@ def _samples(images, usable, normals, lights, views):
     return omega_i, omega_o, values, jnp.where(seen, cosine**2, 0)
 
 
-@jax.jit
-def _prepared(images, usable, normals, lights, views):
-    return _samples(jnp.asarray(images), usable, normals, lights, views)
-
-
 def _common(stack: Stack, normals: Float[np.ndarray, "h w 3"], options: Options) -> LobeSum:
     """Lobes of many texels together, of what remains when each one's median, its diffuse part, is taken off."""
     place = np.argwhere(stack.mask)
     chosen = tuple(place[np.linspace(0, len(place) - 1, min(_POOL, len(place))).astype(int)].T)
     directions = (jnp.asarray(a, jnp.float32) for a in (normals[chosen], stack.lights, stack.views))
     values = stack.images[:, *chosen].swapaxes(0, 1), stack.usable[:, *chosen].T
-    omega_i, omega_o, f, weight = _prepared(*values, *directions)
+    omega_i, omega_o, f, weight = prepared(*values, *directions)
     over = f - _median(f, weight)[:, None]
     together = [a.reshape(1, -1, *a.shape[2:]) for a in (omega_i, omega_o, over, weight)]
     found = fit_lobes(*together, options=dataclasses.replace(options, anisotropic=False))
@@ -168,28 +164,32 @@ def _with_common(omega_i, omega_o, values, weight, common: LobeSum, share):
 def _fit_texels(
     images, usable, normals, lights, views, common: LobeSum | None, share: float, options: Options
 ) -> Float[Array, "p width"]:
-    """All that is known of some texels, in the order of `_as_level`."""
+    """The fits of some texels, as `packed`."""
     directions = (jnp.asarray(a, jnp.float32) for a in (normals, lights, views))
-    omega_i, omega_o, values, weight = _prepared(images, usable, *directions)
+    omega_i, omega_o, values, weight = prepared(images, usable, *directions)
     if common is not None:
         omega_i, omega_o, values, weight = _with_common(omega_i, omega_o, values, weight, common, share)
 
     def turned_by(angle: Float[Array, " p"]) -> Fits:
-        sides = (turned(omega, -angle[:, None]) for omega in (omega_i, omega_o))
-        return fit_lobes(*sides, values, weight, options=options)
+        light, eye = (turned(omega, -angle[:, None]) for omega in (omega_i, omega_o))
+        return fit_lobes(light, eye, values, weight, options=options)
 
     angle = jnp.zeros(len(values))
     if options.anisotropic:
         steps = np.arange(_ANGLES) * (np.pi / 2 / _ANGLES)
         tried = np.stack([np.asarray(turned_by(jnp.full(len(values), step)).residual) for step in steps], axis=1)
         angle = jnp.asarray(_lowest(steps, tried), jnp.float32)
-    fits = turned_by(angle)
-    brdf = fits.brdf  # arrays lead with texels; C [p, l, 1, 3]
+    return packed(turned_by(angle), angle)
+
+
+def packed(fits: Fits, angle: Float[Array, " p"]) -> Float[Array, "p width"]:
+    """All that is known of some texels, in the order of `as_level`."""
+    brdf, count = fits.brdf, len(angle)  # arrays lead with texels; C [p, l, 1, 3]
     parts = [
         brdf.diffuse,
-        brdf.C[:, :, 0].reshape(len(values), -1),
+        brdf.C[:, :, 0].reshape(count, -1),
         brdf.exponent[:, :, 0],
-        brdf.scale.reshape(len(values), -1),
+        brdf.scale.reshape(count, -1),
         jnp.stack([jnp.cos(2 * angle), jnp.sin(2 * angle), fits.verdict.astype(jnp.float32), fits.residual], axis=1),
     ]
     return jnp.concatenate(parts, axis=1)
@@ -208,7 +208,8 @@ def _lowest(angles: Float[np.ndarray, " a"], residuals: Float[np.ndarray, "p a"]
     return angles[best] + step * np.clip(shift, -0.5, 0.5)
 
 
-def _as_level(texels: np.ndarray, mask: np.ndarray, normals: np.ndarray, options: Options) -> SbrdfLevel:
+def as_level(texels: np.ndarray, mask: np.ndarray, normals: np.ndarray, options: Options) -> SbrdfLevel:
+    """Maps from what `packed` gave for the texels of a mask, row by row."""
     lobes = options.lobes
     whole = np.zeros((*mask.shape, texels.shape[1]), np.float32)
     # Off the surface: black, and of a lobe that can be interpolated.
@@ -222,140 +223,3 @@ def _as_level(texels: np.ndarray, mask: np.ndarray, normals: np.ndarray, options
     shape = mask.shape
     maps = diffuse, C.reshape(*shape, lobes, 3), exponent, scale.reshape(*shape, lobes, 3), axis
     return SbrdfLevel(SpatialLobes(*map(jnp.asarray, maps)), normals, flag[..., 0].astype(int), residual[..., 0])
-
-
-def predicted(level: SbrdfLevel, stack: Stack) -> Float[np.ndarray, "n h w 3"]:
-    """The images of a stack as the fit has them: f · cosθ_i, 0 where the light or the eye is below the surface."""
-    mask = stack.mask
-    lobes = jax.tree.map(lambda a: a[mask], level.lobes)
-    # Texels as rows of one column each, so that they are not interpolated.
-    alone = jax.tree.map(lambda a: a[:, None, None], lobes)
-    normals = jnp.asarray(level.normals[mask], jnp.float32)
-    images = np.zeros((*stack.usable.shape, 3), np.float32)
-    for image, light, view in zip(images, stack.lights, stack.views, strict=True):
-        sides = jnp.asarray(light, jnp.float32), jnp.asarray(view, jnp.float32)
-        image[mask] = np.asarray(_radiance(alone, normals, *sides))
-    return images
-
-
-@jax.jit
-def _radiance(alone: SpatialLobes, normals, light, view):
-    def one(texel, normal):
-        frame = tangent_frame(normal)
-        omega_i, omega_o = frame @ light, frame @ view
-        value = texel.at(jnp.full(2, 0.5)).evaluate(omega_i, omega_o) * omega_i[2]
-        return jnp.where((omega_i[2] > 0) & (omega_o[2] > 0), value, 0)
-
-    return jax.vmap(one)(alone, normals)
-
-
-def relative_error(images: np.ndarray, stack: Stack) -> float:
-    """Root mean square of images − stack over that of the stack, over the usable samples of the mask."""
-    counted = stack.usable & stack.mask
-    apart, whole = images[counted] - stack.images[counted], stack.images[counted]
-    return float(np.sqrt(np.sum(apart.astype(float) ** 2) / np.sum(whole.astype(float) ** 2)))
-
-
-def lambert_only(stack: Stack, normals: Float[np.ndarray, "h w 3"]) -> SbrdfLevel:
-    """Albedos of least squared error, what any lobe must do better than."""
-    mask = stack.mask
-    values = stack.images[:, mask].swapaxes(0, 1), stack.usable[:, mask].T
-    directions = (jnp.asarray(a, jnp.float32) for a in (normals[mask], stack.lights, stack.views))
-    _, _, f, weight = _prepared(*values, *directions)
-    total = jnp.sum(weight, axis=1, keepdims=True)
-    albedo = np.zeros((*mask.shape, 3), np.float32)
-    albedo[mask] = np.asarray(jnp.pi * jnp.sum(weight[..., None] * f, axis=1) / jnp.where(total > 0, total, 1))
-    none = np.zeros((*mask.shape, 0, 3), np.float32)
-    axis = np.broadcast_to(np.float32([1, 0]), (*mask.shape, 2))
-    maps = albedo, none, none[..., 0], none, axis
-    return SbrdfLevel(
-        SpatialLobes(*map(jnp.asarray, maps)),
-        normals,
-        np.zeros(mask.shape, int),
-        np.full(mask.shape, np.nan, np.float32),
-    )
-
-
-def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 256) -> tuple[SbrdfLevel, np.ndarray]:
-    """The next level of detail: lobes refitted to the mean BRDF of every 2×2 texels, and its mask.
-
-    Parameters do not average: two highlights beside each other are one broad one only if the functions are averaged
-    (McAllister 2002 §7). Every texel's BRDF is taken in its own frame; texels off the mask do not count.
-    """
-    h, w = mask.shape
-    rows, columns = -(-h // 2), -(-w // 2)
-    pad = [(0, 2 * rows - h), (0, 2 * columns - w)]
-
-    def children(array):
-        array = np.pad(np.asarray(array), pad + [(0, 0)] * (array.ndim - 2), mode="edge")
-        return (
-            array.reshape(rows, 2, columns, 2, *array.shape[2:])
-            .swapaxes(1, 2)
-            .reshape(rows, columns, 4, *array.shape[2:])
-        )
-
-    counted = children(mask) & np.pad(np.ones(mask.shape, bool), pad).reshape(rows, 2, columns, 2).swapaxes(
-        1, 2
-    ).reshape(rows, columns, 4)
-    new_mask = counted.any(axis=2)
-    omega_i, omega_o = spread_pairs(pairs)
-    lobes = jax.tree.map(lambda a: jnp.asarray(children(a)[new_mask]), level.lobes)
-    mean = _mean_values(lobes, jnp.asarray(counted[new_mask]), omega_i, omega_o)
-    weight = jnp.broadcast_to((omega_i[:, 2] * omega_o[:, 2]) ** 2, mean.shape[:2])
-    fits = fit_lobes(
-        jnp.broadcast_to(omega_i, (*mean.shape[:2], 3)),
-        jnp.broadcast_to(omega_o, (*mean.shape[:2], 3)),
-        mean,
-        weight,
-        options,
-    )
-    brdf, n = fits.brdf, len(mean)
-    angle = jnp.zeros(n)
-    parts = [
-        brdf.diffuse,
-        brdf.C[:, :, 0].reshape(n, -1),
-        brdf.exponent[:, :, 0],
-        brdf.scale.reshape(n, -1),
-        jnp.stack([jnp.cos(angle), jnp.sin(angle), fits.verdict.astype(jnp.float32), fits.residual], axis=1),
-    ]
-    normals = np.where(counted[..., None], children(level.normals), 0).sum(axis=2)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
-    return _as_level(np.asarray(jnp.concatenate(parts, axis=1)), new_mask, normals, options), new_mask
-
-
-@jax.jit
-def _mean_values(lobes: SpatialLobes, counted, omega_i, omega_o) -> Float[Array, "p s 3"]:
-    def of_texel(texel):
-        alone = jax.tree.map(lambda a: a[None, None], texel)
-        brdf = alone.at(jnp.full(2, 0.5))
-        return jax.vmap(brdf.evaluate)(omega_i, omega_o)
-
-    def mean(block):
-        texels, share = block
-        return jnp.einsum("q,qsc->sc", share / jnp.sum(share), jax.vmap(of_texel)(texels))
-
-    return jax.lax.map(mean, (lobes, counted.astype(jnp.float32)), batch_size=64)
-
-
-def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
-    """Pairs of directions above the surface, the same ones every time.
-
-    Eyes lie over the hemisphere, lights near each eye's mirror direction and far from it: lobes of every width are met.
-    """
-    index = np.arange(count)
-    eye_z = 0.15 + 0.85 * (index + 0.5) / count
-    azimuth = 2 * np.pi * ((index * 0.7548776662) % 1)
-    sine = np.sqrt(1 - eye_z**2)
-    omega_o = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), eye_z], axis=-1)
-    mirror = omega_o * [-1, -1, 1]
-    # Angles from the mirror direction in geometric progression, 1° … 90°.
-    away = np.radians(90 ** ((index * 0.5698402909) % 1))
-    around = 2 * np.pi * ((index * 0.4301597090) % 1)
-    first = np.cross(mirror, [1.0, 0, 0])
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    second = np.cross(mirror, first)
-    tangent = np.cos(around)[:, None] * first + np.sin(around)[:, None] * second
-    omega_i = np.cos(away)[:, None] * mirror + np.sin(away)[:, None] * tangent
-    omega_i[:, 2] = np.abs(omega_i[:, 2])
-    return jnp.asarray(omega_i, jnp.float32), jnp.asarray(omega_o, jnp.float32)

@@ -120,7 +120,7 @@ def stack_of(
         normals = np.where(shown[..., None], normals / np.where(shown, length, 1)[..., None], _AXIS)
     if not shown.any():
         raise InputError(f"{name}: no pixel shows the surface; check the mask and the normals")
-    usable = np.logical_and(np.isfinite(images), images < saturation).all(axis=-1)
+    usable = np.all(np.isfinite(images) & (images < saturation), axis=-1)
     scaled = np.where(usable[..., None], images, 0) / intensities[:, None, None].astype(np.float32)
     return Stack(scaled, usable, lights, views, shown, normals, name)
 

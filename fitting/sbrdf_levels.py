@@ -1,0 +1,85 @@
+"""Coarser levels of an SBRDF (McAllister 2002 §7)."""
+
+import dataclasses
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from fitting.sbrdf import as_level, packed
+from fitting.solve import Options, fit_lobes
+from jaxrelight.brdf.files.sbrdf import SbrdfLevel
+from jaxrelight.brdf.spatial import SpatialLobes
+
+
+def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 256) -> tuple[SbrdfLevel, np.ndarray]:
+    """The next level of detail: lobes refitted to the mean BRDF of every 2×2 texels, and its mask.
+
+    Parameters do not average: two highlights beside each other are one broad one only if the functions are averaged
+    (McAllister 2002 §7). Every texel's BRDF is taken in its own frame; texels off the mask do not count.
+    """
+    h, w = mask.shape
+    rows, columns = -(-h // 2), -(-w // 2)
+    pad = [(0, 2 * rows - h), (0, 2 * columns - w)]
+
+    def children(array, mode: Literal["edge", "constant"] = "edge") -> np.ndarray:
+        array = np.pad(np.asarray(array), [*pad, *[(0, 0)] * (array.ndim - 2)], mode=mode)
+        by_row = array.reshape(rows, 2, columns, 2, *array.shape[2:])
+        return by_row.swapaxes(1, 2).reshape(rows, columns, 4, *array.shape[2:])
+
+    counted = children(mask, "constant")
+    new_mask = np.asarray(counted.any(axis=2))
+    omega_i, omega_o = spread_pairs(pairs)
+    lobes = jax.tree.map(lambda a: jnp.asarray(children(a)[new_mask]), level.lobes)
+    mean = _mean_values(lobes, jnp.asarray(counted[new_mask]), omega_i, omega_o)
+    weight = jnp.broadcast_to((omega_i[:, 2] * omega_o[:, 2]) ** 2, mean.shape[:2])
+    fits = fit_lobes(
+        jnp.broadcast_to(omega_i, (*mean.shape[:2], 3)),
+        jnp.broadcast_to(omega_o, (*mean.shape[:2], 3)),
+        mean,
+        weight,
+        options=dataclasses.replace(options, anisotropic=False),
+    )
+    normals = np.where(counted[..., None], children(level.normals), 0).sum(axis=2)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
+    return as_level(np.asarray(packed(fits, jnp.zeros(len(mean)))), new_mask, normals, options), new_mask
+
+
+@jax.jit
+def _mean_values(lobes: SpatialLobes, counted, omega_i, omega_o) -> Float[Array, "p s 3"]:
+    def of_texel(texel):
+        alone = jax.tree.map(lambda a: a[None, None], texel)
+        brdf = alone.at(jnp.full(2, 0.5))
+        return jax.vmap(brdf.evaluate)(omega_i, omega_o)
+
+    def mean(block):
+        texels, share = block
+        return jnp.einsum("q,qsc->sc", share / jnp.sum(share), jax.vmap(of_texel)(texels))
+
+    return jax.lax.map(mean, (lobes, counted.astype(jnp.float32)), batch_size=64)
+
+
+def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
+    """Pairs of directions above the surface, the same ones every time.
+
+    Eyes lie over the hemisphere, lights near each eye's mirror direction and far from it: lobes of every width are met.
+    """
+    index = np.arange(count)
+    eye_z = 0.15 + 0.85 * (index + 0.5) / count
+    azimuth = 2 * np.pi * ((index * 0.7548776662) % 1)
+    sine = np.sqrt(1 - eye_z**2)
+    omega_o = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), eye_z], axis=-1)
+    mirror = omega_o * [-1, -1, 1]
+    # Angles from the mirror direction in geometric progression, 1° … 90°.
+    away = np.radians(90 ** ((index * 0.5698402909) % 1))
+    around = 2 * np.pi * ((index * 0.4301597090) % 1)
+    first = np.cross(mirror, [1.0, 0, 0])
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    second = np.cross(mirror, first)
+    tangent = np.cos(around)[:, None] * first + np.sin(around)[:, None] * second
+    omega_i = np.cos(away)[:, None] * mirror + np.sin(away)[:, None] * tangent
+    omega_i[:, 2] = np.abs(omega_i[:, 2])
+    return jnp.asarray(omega_i, jnp.float32), jnp.asarray(omega_o, jnp.float32)
