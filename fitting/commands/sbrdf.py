@@ -45,8 +45,10 @@ class Sbrdf:
         import numpy as np
 
         from fitting.commands.values import known
+        from fitting.prediction import lambert_only, predicted, relative_error
         from fitting.report import check_report
-        from fitting.sbrdf import coarser, fit_sbrdf, lambert_only, predicted, relative_error
+        from fitting.sbrdf import fit_sbrdf
+        from fitting.sbrdf_levels import coarser
         from fitting.solve import Options
         from fitting.stack import load_stack
         from jaxrelight.brdf.files.sbrdf import write_sbrdf
@@ -71,9 +73,7 @@ class Sbrdf:
         # Beside the output, so that the same command finds it and another one does not.
         parts = self.output.with_name(f".{self.output.name}.parts")
         with timed(seconds, "fit"), progress(self.json) as report:
-            fit = fit_sbrdf(
-                fitted_to, options, folder=parts, report=lambda done, total: report("texels", done, total)
-            )
+            fit = fit_sbrdf(fitted_to, options, folder=parts, report=lambda done, total: report("texels", done, total))
         levels, mask = [fit.level], fit.mask
         if self.levels:
             with timed(seconds, "levels"):
