@@ -71,9 +71,7 @@ class Sbrdf:
         # Beside the output, so that the same command finds it and another one does not.
         parts = self.output.with_name(f".{self.output.name}.parts")
         with timed(seconds, "fit"), progress(self.json) as report:
-            fit = fit_sbrdf(
-                fitted_to, options, folder=parts, report=lambda done, total: report("texels", done, total)
-            )
+            fit = fit_sbrdf(fitted_to, options, folder=parts, report=lambda done, total: report("texels", done, total))
         levels, mask = [fit.level], fit.mask
         if self.levels:
             with timed(seconds, "levels"):
