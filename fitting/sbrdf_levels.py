@@ -31,25 +31,39 @@ def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 
 
     counted = children(mask, "constant")
     new_mask = np.asarray(counted.any(axis=2))
+    texels = jax.tree.map(lambda a: children(a)[new_mask], level.lobes)
+    found = refitted(texels, counted[new_mask], options, pairs)
+    normals = mean_normals(children(level.normals), counted)
+    return as_level(found, new_mask, normals, options), new_mask
+
+
+def refitted(
+    texels: SpatialLobes, shares: Float[np.ndarray, "p q"], options: Options, pairs: int = 256
+) -> Float[np.ndarray, "p width"]:
+    """Lobes of least squared error to Σ_q share_q f_q / Σ_q share_q of every p, as `as_level` takes them.
+
+    Args:
+        texels: whose arrays lead with the axes p and q.
+        shares: of each; no row may be 0.
+        options: of the fit; its lobes have no direction of anisotropy.
+        pairs: of directions that the functions are compared in.
+    """
     omega_i, omega_o = spread_pairs(pairs)
-    lobes = jax.tree.map(lambda a: jnp.asarray(children(a)[new_mask]), level.lobes)
-    mean = _mean_values(lobes, jnp.asarray(counted[new_mask]), omega_i, omega_o)
-    weight = jnp.broadcast_to((omega_i[:, 2] * omega_o[:, 2]) ** 2, mean.shape[:2])
-    fits = fit_lobes(
-        jnp.broadcast_to(omega_i, (*mean.shape[:2], 3)),
-        jnp.broadcast_to(omega_o, (*mean.shape[:2], 3)),
-        mean,
-        weight,
-        options=dataclasses.replace(options, anisotropic=False),
-    )
-    normals = np.where(counted[..., None], children(level.normals), 0).sum(axis=2)
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
-    return as_level(np.asarray(packed(fits, jnp.zeros(len(mean)))), new_mask, normals, options), new_mask
+    mean = _mean_values(jax.tree.map(jnp.asarray, texels), jnp.asarray(shares, jnp.float32), omega_i, omega_o)
+    weight = (omega_i[:, 2] * omega_o[:, 2]) ** 2
+    fits = fit_lobes(omega_i, omega_o, mean, weight, options=dataclasses.replace(options, anisotropic=False))
+    return np.asarray(packed(fits, jnp.zeros(len(mean))))
+
+
+def mean_normals(normals: Float[np.ndarray, "*p q 3"], shares: Float[np.ndarray, "*p q"]) -> Float[np.ndarray, "*p 3"]:
+    """Unit vectors along the weighted means; where these are 0, the surface's own."""
+    total = np.where(shares[..., None] > 0, shares[..., None] * normals, 0).sum(axis=-2)
+    length = np.linalg.norm(total, axis=-1, keepdims=True)
+    return np.where(length > 0, total / np.where(length > 0, length, 1), [0, 0, 1])
 
 
 @jax.jit
-def _mean_values(lobes: SpatialLobes, counted, omega_i, omega_o) -> Float[Array, "p s 3"]:
+def _mean_values(lobes: SpatialLobes, shares, omega_i, omega_o) -> Float[Array, "p s 3"]:
     def of_texel(texel):
         alone = jax.tree.map(lambda a: a[None, None], texel)
         brdf = alone.at(jnp.full(2, 0.5))
@@ -59,7 +73,7 @@ def _mean_values(lobes: SpatialLobes, counted, omega_i, omega_o) -> Float[Array,
         texels, share = block
         return jnp.einsum("q,qsc->sc", share / jnp.sum(share), jax.vmap(of_texel)(texels))
 
-    return jax.lax.map(mean, (lobes, counted.astype(jnp.float32)), batch_size=64)
+    return jax.lax.map(mean, (lobes, shares), batch_size=64)
 
 
 def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:

@@ -45,8 +45,10 @@ class Sbrdf:
         import numpy as np
 
         from fitting.commands.values import known
+        from fitting.prediction import lambert_only, predicted, relative_error
         from fitting.report import check_report
-        from fitting.sbrdf import coarser, fit_sbrdf, lambert_only, predicted, relative_error
+        from fitting.sbrdf import fit_sbrdf
+        from fitting.sbrdf_levels import coarser
         from fitting.solve import Options
         from fitting.stack import load_stack
         from jaxrelight.brdf.files.sbrdf import write_sbrdf

@@ -1,0 +1,137 @@
+"""Blends are means of functions, not of parameters."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting.blend import blended, composed, uniform
+from fitting.brdf_samples import Grid, sample
+from fitting.sbrdf_levels import spread_pairs
+from fitting.solve import Options, Verdict
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
+from jaxrelight.brdf.files.sbrdf import read_sbrdf, write_sbrdf
+from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum
+from jaxrelight.errors import InputError
+
+COARSE = Grid(half=14, difference=6, azimuth=5)
+SHARP = lobe_sum([0.1, 0.2, 0.3], [lobe([-1, -1, 0.95], 60, peak=[2.0, 1.5, 1.0])])
+BROAD = lobe_sum([0.4, 0.2, 0.1], [lobe([-1, -1, 0.8], 5, peak=[0.2, 0.3, 0.4])])
+PAIRS = spread_pairs(200)
+
+
+def _apart(brdf, wanted) -> float:
+    """Relative root mean square over the grid."""
+    return float(np.linalg.norm(sample(brdf, COARSE).values - wanted) / np.linalg.norm(wanted))
+
+
+@pytest.mark.parametrize(("share", "wanted"), [(0, SHARP), (1, BROAD)])
+def test_the_ends_of_a_blend_are_the_materials(share, wanted):
+    made = blended(SHARP, BROAD, share, weight="plain", grid=COARSE)
+    assert made.verdict == Verdict.GOOD
+    np.testing.assert_allclose(made.brdf.exponent, wanted.exponent, rtol=2e-3)
+    np.testing.assert_allclose(made.brdf.scale, wanted.scale, rtol=5e-3)
+    np.testing.assert_allclose(made.brdf.diffuse, wanted.diffuse, rtol=5e-3)
+
+
+def test_a_blend_is_the_mean_of_the_functions():
+    """With two lobes exactly, with one as nearly as it can, and nearer than the mean of the parameters."""
+    wanted = 0.5 * sample(SHARP, COARSE).values + 0.5 * sample(BROAD, COARSE).values
+    one, two = (blended(SHARP, BROAD, 0.5, Options(lobes=n), "plain", COARSE) for n in (1, 2))
+    assert _apart(two.brdf, wanted) < 0.01
+    parameters = jax.tree.map(lambda a, b: (a + b) / 2, SHARP, BROAD)
+    assert 0.01 < _apart(one.brdf, wanted) < 0.5 * _apart(parameters, wanted)
+    np.testing.assert_allclose(one.residual, _apart(one.brdf, wanted), rtol=1e-3)
+
+
+def test_anything_can_be_blended():
+    other = ashikhmin_shirley([0.3, 0.2, 0.1], 0.05, 30, 30)
+    assert blended(other, SHARP, 0.3, Options(lobes=2), "plain", COARSE).residual < 0.2
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, np.nan])
+def test_a_share_beyond_the_ends_is_refused(share):
+    with pytest.raises(InputError, match="share of a blend must be from 0 to 1"):
+        blended(SHARP, BROAD, share)
+
+
+SHAPE = 2, 3
+LEFT = np.array([[1.0, 1, 0], [1, 0.25, 0]])
+RIGHT = np.array([[0.0, 0, 2], [0, 0.75, 0]])
+
+
+def _composed(**options):
+    return composed([(uniform(SHARP, SHAPE), LEFT), (uniform(BROAD, SHAPE), RIGHT)], **options)
+
+
+def _values(level, row: int, column: int):
+    alone = jax.tree.map(lambda a: a[row : row + 1, column : column + 1], level.lobes)
+    return jax.vmap(alone.at(jnp.full(2, 0.5)).evaluate)(*PAIRS)
+
+
+def test_masks_choose_and_mix():
+    made = _composed()
+    for place, wanted in {(0, 0): SHARP, (0, 1): SHARP, (1, 0): SHARP, (0, 2): BROAD}.items():
+        np.testing.assert_array_equal(made.lobes.C[place], wanted.C[:, 0])
+        np.testing.assert_array_equal(made.lobes.exponent[place], wanted.exponent[:, 0])
+        np.testing.assert_array_equal(made.lobes.scale[place], wanted.scale)
+        np.testing.assert_array_equal(made.lobes.diffuse[place], wanted.diffuse)
+        assert made.flag[place] == Verdict.GOOD
+    assert made.flag[1, 2] == Verdict.NO_DATA
+    assert not np.asarray(made.lobes.diffuse[1, 2]).any()
+    mean = 0.25 * jax.vmap(SHARP.evaluate)(*PAIRS) + 0.75 * jax.vmap(BROAD.evaluate)(*PAIRS)
+    two = _composed(options=Options(lobes=2))
+    assert two.lobes.lobes == 2
+    weight = np.asarray(PAIRS[0][:, 2] * PAIRS[1][:, 2])[:, None]
+    apart = [np.linalg.norm(weight * (_values(level, 1, 1) - mean)) for level in (two, made)]
+    size = np.linalg.norm(weight * mean)
+    assert apart[0] < 0.02 * size
+    assert apart[0] < apart[1] < 0.4 * size
+
+
+def test_normals_are_mixed_and_of_unit_length():
+    tilted = uniform(BROAD, SHAPE)
+    normals = np.broadcast_to([0.6, 0, 0.8], (*SHAPE, 3))
+    tilted = type(tilted)(tilted.lobes, normals, tilted.flag, tilted.residual)
+    made = composed([(uniform(SHARP, SHAPE), LEFT), (tilted, RIGHT)])
+    np.testing.assert_allclose(np.linalg.norm(made.normals, axis=-1), 1)
+    np.testing.assert_allclose(made.normals[0, 0], [0, 0, 1])
+    np.testing.assert_allclose(made.normals[0, 2], [0.6, 0, 0.8])
+    np.testing.assert_allclose(made.normals[1, 1, 0] / made.normals[1, 1, 2], 0.45 / 0.85)
+
+
+def test_layers_of_other_numbers_of_lobes_and_what_comes_of_them_is_written(tmp_path):
+    flat, turned = uniform(lambert(0.5), SHAPE), lobe_sum(0.1, [lobe([-1, -0.5, 0.9], 9, peak=1)], turn=0.4)
+    made = composed([(flat, LEFT), (uniform(turned, SHAPE), RIGHT)])
+    assert made.lobes.lobes == 1
+    np.testing.assert_allclose(_values(made, 0, 0), 0.5 / np.pi, rtol=1e-6)
+    np.testing.assert_allclose(_values(made, 0, 2), jax.vmap(turned.evaluate)(*PAIRS), rtol=1e-4, atol=1e-6)
+    write_sbrdf(tmp_path / "a.exr", [made])
+    (back,) = read_sbrdf(tmp_path / "a.exr")
+    np.testing.assert_array_equal(back.lobes.exponent, made.lobes.exponent)
+    np.testing.assert_array_equal(back.flag, made.flag)
+
+
+@pytest.mark.parametrize(
+    ("layers", "what"),
+    [
+        ([], "at least one layer"),
+        ([(uniform(SHARP, SHAPE), LEFT[:1])], "layer 1: has .* and a mask of"),
+        ([(uniform(SHARP, SHAPE), LEFT), (uniform(SHARP, (3, 3)), LEFT)], "layer 2: has"),
+        ([(uniform(SHARP, SHAPE), -LEFT)], "layer 1: its mask must be finite and not negative"),
+        ([(uniform(SHARP, SHAPE), LEFT * np.nan)], "layer 1: its mask must be finite"),
+        ([(uniform(SHARP, SHAPE), 0 * LEFT)], "all masks are 0"),
+    ],
+)
+def test_layers_that_do_not_fit_together_are_refused(layers, what):
+    with pytest.raises(InputError, match=what):
+        composed(layers)
+
+
+def test_fewer_lobes_than_a_layer_has_are_refused():
+    two = lobe_sum(0.1, [lobe([-1, -1, 1], n, peak=1) for n in (3, 30)])
+    with pytest.raises(InputError, match="a layer has 2 lobes, more than the 1 asked for"):
+        composed([(uniform(two, SHAPE), LEFT)], Options(lobes=1))
+    per_channel = lobe_sum(0.1, [lobe([-1, -1, 1], [3, 4, 5], peak=1)])
+    with pytest.raises(InputError, match="without --per-channel"):
+        uniform(per_channel, SHAPE)
