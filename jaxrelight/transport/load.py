@@ -49,7 +49,7 @@ class Block:
     """
 
     material: str
-    brdf: Brdf
+    brdf: Brdf | SpatialLobes
     weight: Weight
     reflection: Reflection
     groups: Int[np.ndarray, " g"]

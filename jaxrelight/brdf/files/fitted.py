@@ -114,7 +114,7 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
 
     def write(partial: pathlib.Path):
         with partial.open("wb") as file:
-            np.savez_compressed(file, **maps)
+            np.savez_compressed(file, light_maps=maps["light_maps"], view_maps=maps["view_maps"])
 
     write_whole(path, write)
 

@@ -1,6 +1,7 @@
 """Files of fitted materials: written and read to the last bit, and whatever else may be in them."""
 
 import tomllib
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -60,11 +61,12 @@ def test_what_is_not_finite_is_not_written(tmp_path):
 
 
 def test_a_failed_write_leaves_the_earlier_file(tmp_path, monkeypatch):
-    for name, write, material in (
-        ("a.toml", write_lobes, LOBES["shared"]),
-        ("a.npz", write_factors, separable(factor(phong(0.1, 0.3, 4), 2, 4))),
+    made = separable(factor(phong(0.1, 0.3, 4), 2, 4))
+    for name, write in (
+        ("a.toml", lambda: write_lobes(tmp_path / "a.toml", LOBES["shared"])),
+        ("a.npz", lambda: write_factors(tmp_path / "a.npz", made)),
     ):
-        write(tmp_path / name, material)
+        write()
         earlier = (tmp_path / name).read_bytes()
 
         def full_disk(*_):
@@ -73,7 +75,7 @@ def test_a_failed_write_leaves_the_earlier_file(tmp_path, monkeypatch):
         with monkeypatch.context() as patched:
             patched.setattr(whole_file.os, "replace", full_disk)
             with pytest.raises(InputError, match="No space left on device"):
-                write(tmp_path / name, material)
+                write()
         assert (tmp_path / name).read_bytes() == earlier
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "a.toml"]
 
@@ -139,7 +141,7 @@ ONES = np.ones((2, 3, 4, 4), np.float32)
     ],
 )
 def test_faults_of_factors_are_told_in_one_line(tmp_path, change, what):
-    arrays = {"light_maps": ONES, "view_maps": ONES.astype(float)} | {
+    arrays: dict[str, Any] = {"light_maps": ONES, "view_maps": ONES.astype(float)} | {
         name: None if array is None else np.asarray(array, float) for name, array in change.items()
     }
     np.savez(tmp_path / "a.npz", **{name: array for name, array in arrays.items() if array is not None})

@@ -3,6 +3,7 @@
 import functools
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -77,7 +78,7 @@ def test_factors_are_those_of_the_material(folder, run, form):
     assert (summary["terms"], summary["resolution"], summary["bytes"]) == (3, 8, 2 * 4 * 9 * 64)
     assert (np.asarray(made.light_maps).min() < 0) == (form == "svd")
     # At the centre of a texel of either side, up to what three terms leave out.
-    omega = np.array([-0.125, 0.125, np.sqrt(1 - 2 / 64)], np.float32)
+    omega = jnp.asarray([-0.125, 0.125, np.sqrt(1 - 2 / 64)], jnp.float32)
     exact = load_brdf(folder / "paint.bsdf").brdf.evaluate(omega, omega)
     np.testing.assert_allclose(made.evaluate(omega, omega), exact, rtol=0.5)
     assert 0 < summary["residual"] < 1
