@@ -10,6 +10,7 @@ from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.fitted import read_fitted, read_lobes
+from jaxrelight.brdf.files.sbrdf import read_sbrdf, spatial
 from jaxrelight.brdf.material import Material, as_material, textured_lambert, textured_phong
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.texture import Texture, constant
@@ -24,7 +25,7 @@ from jaxrelight.scene_materials import from_file, made_light, read_texture, weig
 from jaxrelight.toml_table import Table, read_toml
 
 # Of materials that are no mixtures.
-_TYPES = "lambert, phong, lafortune, ashikhmin_shirley, measured, fitted"
+_TYPES = "lambert, phong, lafortune, ashikhmin_shirley, measured, fitted, sbrdf"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -300,7 +301,7 @@ def _material(table: Table, folder: pathlib.Path) -> tuple[Brdf | Material, list
             if isinstance(brdf, Separable) and table.has("terms"):
                 raise InputError("'terms' are those of the file of factors; remove it, or fit factors anew")
         elif kind == "sbrdf":
-            raise InputError(f"type '{kind}' is not supported yet; use {_TYPES}")
+            brdf = spatial(read_sbrdf(folder / table.text("maps"))[0])
         else:
             raise InputError(f"type '{kind}' is not known; known are {_TYPES}")
     except InputError as error:

@@ -205,13 +205,15 @@ def test_check_finds_damage_that_nobody_reads(tmp_path, how: str):
 
 
 def test_names_that_lead_out_of_a_store_are_none():
-    names = {kind: f"{kind}-{'0a' * 8}" for kind in ("geometry", "visibility", "environment", "factors", "transport")}
+    kinds = "geometry", "visibility", "environment", "factors", "transport", "table"
+    names = {kind: f"{kind}-{'0a' * 8}" for kind in kinds}
     texture = f"texture-{'1b' * 8}"
 
     def header(**changed):
         known = {**names, **changed}
         material = {"factors": known["factors"], "transport": known["transport"]}
         material |= {"normal_map": known.get("normal_map"), "weight": [texture, [0.5]]}
+        material |= {"brdf": {"arrays": {"long": {"layer": known["table"]}, "short": {"shape": [], "values": [1]}}}}
         layers = {kind: known[kind] for kind in ("geometry", "visibility")}
         return {**layers, "environment": {"pixels": known["environment"]}, "materials": [material]}
 

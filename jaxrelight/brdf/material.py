@@ -6,14 +6,15 @@ import jax.numpy as jnp
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, Weight
 
 
 @dataclasses.dataclass(frozen=True)
 class Component:
-    """One BRDF of a material and the factor on it, by channel and texture coordinates."""
+    """One BRDF of a material, or one for every texel, and the factor on it, by channel and texture coordinates."""
 
-    brdf: Brdf
+    brdf: Brdf | SpatialLobes
     weight: Weight = ()
 
 
@@ -39,7 +40,12 @@ class Material:
         A normal map needs them even where it is constant: it bends normals along the directions of growing u and v.
         """
         textures = [texture for component in self.components for texture in component.weight]
-        return self.normal_map is not None or not all(texture.is_constant for texture in textures)
+        return self.normal_map is not None or self.is_spatial or not all(texture.is_constant for texture in textures)
+
+    @property
+    def is_spatial(self) -> bool:
+        """Whether a component has a BRDF for every texel."""
+        return any(isinstance(component.brdf, SpatialLobes) for component in self.components)
 
 
 def as_material(surface: Brdf | Material) -> Material:

@@ -11,14 +11,15 @@ from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.separable import Separable
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.tabulated import Tabulated
 
-_KINDS = {kind.__name__: kind for kind in (Adaptive, AshikhminShirley, LobeSum, Separable, Tabulated)}
+_KINDS = {kind.__name__: kind for kind in (Adaptive, AshikhminShirley, LobeSum, Separable, SpatialLobes, Tabulated)}
 # Numbers of an array that JSON is to hold at most.
 _LONGEST = 4096
 
 
-def to_record(brdf: Brdf, keep: Callable[[np.ndarray], str]) -> dict:
+def to_record(brdf: Brdf | SpatialLobes, keep: Callable[[np.ndarray], str]) -> dict:
     """The kind of a BRDF and its arrays: nested lists, exact for float32, or the name that `keep` gives a long one."""
 
     def entry(array: np.ndarray) -> dict:
@@ -31,7 +32,7 @@ def to_record(brdf: Brdf, keep: Callable[[np.ndarray], str]) -> dict:
     return {"kind": type(brdf).__name__, "arrays": entries}
 
 
-def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float32) -> Brdf:
+def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float32) -> Brdf | SpatialLobes:
     """The BRDF that `to_record` wrote; `kept` finds a long array by its name."""
 
     def array(entry: dict) -> np.ndarray:

@@ -29,6 +29,16 @@ class SpatialLobes(eqx.Module):
     axis: Float[Array, "h w 2"]
 
     @property
+    def channels(self) -> int:
+        """c, the number of colour channels."""
+        return self.diffuse.shape[-1]
+
+    @property
+    def is_constant(self) -> bool:
+        """Never: texels differ."""
+        return False
+
+    @property
     def lobes(self) -> int:
         """l, the number of lobes."""
         return self.C.shape[2]

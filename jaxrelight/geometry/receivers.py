@@ -26,6 +26,7 @@ class Receivers:
         face_normals: unit normals along which ray origins are lifted.
         tangents: what tangent frames follow, see `tangent_frame`.
         omega_o: unit world direction to the eye for pixels, None for vertices.
+        uv: texture coordinates for pixels, None for vertices.
         material_of_group: number of each group's material.
         filled: receivers of each group that are not copies.
         slot_of: place in the flattened groups of each vertex, back of a vertex, or covered pixel.
@@ -36,6 +37,7 @@ class Receivers:
     face_normals: Float[np.ndarray, "g m 3"]
     tangents: Float[np.ndarray, "g m 3"]
     omega_o: Float[np.ndarray, "g m 3"] | None
+    uv: Float[np.ndarray, "g m 2"] | None
     material_of_group: Int[np.ndarray, " g"]
     filled: Int[np.ndarray, " g"]
     slot_of: Int[np.ndarray, " v"]
@@ -60,13 +62,13 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
 
     face_normals = _vertex_face_normals(surfaces)
     normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
-    return _grouped(both(surfaces.vertices), normals, face_normals, both(surfaces.tangents), None, both(material))
+    return _grouped(both(surfaces.vertices), normals, face_normals, both(surfaces.tangents), None, None, both(material))
 
 
 def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
     """Every covered pixel: the view is fixed and the BRDF exact."""
     material = np.asarray(material_of_mesh)[gbuffer.mesh]
-    directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o
+    directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o, gbuffer.uv
     return _grouped(gbuffer.positions, *directions, material)
 
 
@@ -82,7 +84,7 @@ def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
     return np.where(length > 0, total / np.where(length > 0, length, 1), surfaces.normals)
 
 
-def _grouped(positions, normals, face_normals, tangents, omega_o, material) -> Receivers:
+def _grouped(positions, normals, face_normals, tangents, omega_o, uv, material) -> Receivers:
     order = np.lexsort((_morton(positions), material))
     members, material_of_group, filled = [], [], []
     for number in np.unique(material):
@@ -97,7 +99,7 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, material) -> R
     slot_of[member[::-1]] = np.arange(len(member))[::-1]
 
     def pick(values):
-        return values[member].reshape(-1, GROUP, 3)
+        return values[member].reshape(-1, GROUP, values.shape[-1])
 
     return Receivers(
         positions=pick(positions),
@@ -105,6 +107,7 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, material) -> R
         face_normals=pick(face_normals),
         tangents=pick(tangents),
         omega_o=None if omega_o is None else pick(omega_o),
+        uv=None if uv is None else pick(uv),
         material_of_group=np.array(material_of_group, np.int64),
         filled=np.array(filled, np.int64),
         slot_of=slot_of,

@@ -3,11 +3,12 @@
 import dataclasses
 import functools
 import pathlib
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
@@ -16,6 +17,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factors import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
@@ -47,7 +49,7 @@ class Block:
     """
 
     material: str
-    brdf: Brdf
+    brdf: Brdf | SpatialLobes
     weight: Weight
     reflection: Reflection
     groups: Int[np.ndarray, " g"]
@@ -321,11 +323,23 @@ def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.n
     return _by_group(tangent_frame, receivers.normals[groups], receivers.tangents[groups])
 
 
-def fixed_view(brdf: Brdf, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
-    """The exact reflection of some groups of pixel receivers."""
+def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
+    """The exact reflection of some groups of pixel receivers; of a spatial BRDF, each has its own."""
     assert receivers.omega_o is not None
     arrays = receivers.normals, receivers.tangents, receivers.omega_o
-    return FixedView(brdf, _by_group(to_local, *(array[groups] for array in arrays)))  # pyright: ignore[reportArgumentType]
+    omega_o: Any = _by_group(to_local, *(array[groups] for array in arrays))
+    if not isinstance(brdf, SpatialLobes):
+        return FixedView(brdf, omega_o)
+    assert receivers.uv is not None
+    with jax.ensure_compile_time_eval():
+        found = [_at(brdf, uv.astype(np.float32)) for uv in receivers.uv[groups]]
+        own = jax.tree.map(lambda *parts: np.stack(parts), *found)
+    return FixedView(jax.tree.map(lambda _: None, own), omega_o, own)
+
+
+@jax.jit
+def _at(brdf: SpatialLobes, uv: Float[Array, "m 2"]) -> Brdf:
+    return brdf.at(uv)
 
 
 def _by_group(function, *arrays: Float[np.ndarray, "g m ..."]) -> Float[np.ndarray, "g m ..."]:

@@ -25,6 +25,7 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.brdf.separable import Separable
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
@@ -95,6 +96,11 @@ def precompute(
                     "needs; export it with them, or give it another material"
                 )
             _check_terms(scene, part.material, settings)
+            if settings.receivers == "vertices" and as_material(scene.materials[part.material]).is_spatial:
+                raise InputError(
+                    f"{scene.name}: '{part.material}' has a BRDF for every texel, which vertices cannot hold yet; "
+                    "ask for --receivers pixels"
+                )
         surfaces = join([part.mesh for part in scene.parts])
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
@@ -146,9 +152,9 @@ def precompute(
                 record["normal_map"] = bump
                 if settings.coefficients != "all":
                     # The name of the factors tells their number and their resolution.
-                    key = store.key_of(
-                        visibility_key, number, record["brdf"], factors, settings.coefficients, frames_key
-                    )
+                    uv_key = store.key_of(surfaces.uv) if isinstance(brdf, SpatialLobes) else None
+                    same = visibility_key, number, described, factors, settings.coefficients, frames_key
+                    key = store.key_of(*same, *([uv_key] if uv_key else []))
                     layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
                     if layer.missing:
                         frames, filled = frames_of(receivers, groups), receivers.filled[groups]
@@ -262,13 +268,13 @@ def _write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 
 
 def _factors(
-    folder: pathlib.Path, brdf: Brdf, described: dict, terms: int, settings: Settings
+    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, settings: Settings
 ) -> tuple[Factored | None, str | None]:
     """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant.
 
     What is given as factors is taken as it is, whatever the settings say.
     """
-    if settings.receivers == "pixels" and not brdf.is_constant:
+    if isinstance(brdf, SpatialLobes) or (settings.receivers == "pixels" and not brdf.is_constant):
         return None, None
     dials = () if isinstance(brdf, Separable) else (terms, settings.factor_resolution, *COSINE)
     key = store.key_of(described, *dials)

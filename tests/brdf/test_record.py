@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
+from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.record import from_record, to_record
 from jaxrelight.brdf.separable import Separable
@@ -58,6 +59,7 @@ def test_what_comes_back_is_a_brdf():
     for brdf in (lambert(0.5), phong(0.1, 0.5, 20), ashikhmin_shirley(0.5, 0.75, 10, 100)):
         back = round_trip(brdf, jnp.float32)
         assert back.is_constant == brdf.is_constant
+        assert isinstance(back, Brdf)
         assert back.channels == 3
         omega = jnp.asarray([0.6, 0, 0.8])
         np.testing.assert_array_equal(back.evaluate(omega, omega), brdf.evaluate(omega, omega))

@@ -162,7 +162,7 @@ def _materials() -> dict[str, Fault]:
         "material given twice": _fault("[material.wood]", "[material.paper]", "not a TOML file", "line 16"),
         "type missing": _fault('type = "lambert"', "", "[paper]", "'type' is missing"),
         "type misspelt": _fault('"lambert"', '"lambret"', "[paper]", "type 'lambret' is not known; known are"),
-        "type of a later version": _fault('"lambert"', '"measured"', "'measured' is not supported yet; use"),
+        "type that needs maps": _fault('"lambert"', '"sbrdf"', "'maps' is missing"),
         "albedo negative": _fault(paper, "albedo = [0.5, -0.4, 0.3]", "[paper]", "'albedo' must not be negative"),
         "albedo of two numbers": _fault(paper, "albedo = [0.5, 0.4]", "'albedo' must be a number or 3 numbers"),
         "albedo true": _fault(paper, "albedo = true", "'albedo' must be a number or 3 numbers"),

@@ -24,7 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.images.exr import read_channels, write_channels
 
@@ -81,6 +83,13 @@ def read_sbrdf(path: str | pathlib.Path) -> list[SbrdfLevel]:
     except OSError as fault:
         raise InputError(f"{path}: cannot be read ({fault.strerror or fault}); check the path and its rights") from None
     return [_level(path, number, planes) for number, planes in enumerate(parts)]
+
+
+def spatial(level: SbrdfLevel) -> Material:
+    """A level as a material: its lobes, and its normals as a normal map where they are not all straight."""
+    bent = np.any(np.abs(level.normals - [0, 0, 1]) > 1e-6)
+    bumps = Texture(jnp.asarray((level.normals + 1) / 2, jnp.float32)) if bent else None
+    return Material((Component(level.lobes),), bumps)
 
 
 def _channels(level: SbrdfLevel) -> dict[str, np.ndarray]:

@@ -56,7 +56,7 @@ def test_gradients_are_right(tmp_path, x64):
     path.write_bytes(writers.rgl())
     brdf = jax.tree.map(lambda x: x.astype(jnp.float64), load_brdf(path).brdf)
     omega_i, omega_o = jnp.asarray([-0.44, 0.37, 0.8]), jnp.asarray([0.3, -0.4, 0.85])
-    check_grads(jax.jit(brdf.evaluate), (omega_i, omega_o), 1, ["fwd", "rev"], eps=1e-6, rtol=1e-4)
+    check_grads(jax.jit(lambda i, o: brdf.evaluate(i, o)), (omega_i, omega_o), 1, ["fwd", "rev"], eps=1e-6, rtol=1e-4)
 
 
 def test_negative_values_are_taken_as_0_and_counted(tmp_path):
