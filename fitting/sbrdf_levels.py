@@ -14,7 +14,7 @@ from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.spatial import SpatialLobes
 
 # Texels that are refitted together.
-_CHUNK = 512
+CHUNK = 512
 
 
 def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 256) -> tuple[SbrdfLevel, np.ndarray]:
@@ -57,13 +57,13 @@ def refitted(
 
     def chunk(start: int) -> np.ndarray:
         """Of one size, so that one program does for every level."""
-        index = np.minimum(np.arange(start, start + _CHUNK), len(shares) - 1)
+        index = np.minimum(np.arange(start, start + CHUNK), len(shares) - 1)
         mine = jax.tree.map(lambda a: jnp.asarray(a[index]), texels)
         mean = _mean_values(mine, jnp.asarray(shares[index], jnp.float32), omega_i, omega_o)
         fits = fit_lobes(omega_i, omega_o, mean, weight, options=options)
-        return np.asarray(packed(fits, jnp.zeros(_CHUNK)))
+        return np.asarray(packed(fits, jnp.zeros(CHUNK)))
 
-    return np.concatenate([chunk(start) for start in range(0, len(shares), _CHUNK)])[: len(shares)]
+    return np.concatenate([chunk(start) for start in range(0, len(shares), CHUNK)])[: len(shares)]
 
 
 def mean_normals(normals: Float[np.ndarray, "*p q 3"], shares: Float[np.ndarray, "*p q"]) -> Float[np.ndarray, "*p 3"]:

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from fitting import sbrdf_levels
 from fitting.blend import blended, composed, uniform
 from fitting.brdf_samples import Grid, sample
 from fitting.sbrdf_levels import spread_pairs
@@ -53,6 +54,22 @@ def test_anything_can_be_blended():
 def test_a_share_beyond_the_ends_is_refused(share):
     with pytest.raises(InputError, match="share of a blend must be from 0 to 1"):
         blended(SHARP, BROAD, share)
+
+
+@pytest.fixture(autouse=True)
+def _few_at_a_time(monkeypatch):
+    """As few as the maps here have."""
+    monkeypatch.setattr(sbrdf_levels, "CHUNK", 2)
+
+
+def test_texels_are_refitted_in_chunks_and_keep_their_order():
+    """Three in chunks of two; the share of one alone gives it back."""
+    both = jax.tree.map(lambda *a: jnp.stack(a, axis=2), *(uniform(brdf, (1, 3)).lobes for brdf in (SHARP, BROAD)))
+    shares = np.array([[1.0, 0], [0, 3], [2, 0]])
+    rows = sbrdf_levels.refitted(jax.tree.map(lambda a: a[0], both), shares, Options())
+    assert len(rows) == 3
+    np.testing.assert_allclose(rows[:, 6], [60, 5, 60], rtol=1e-2)
+    np.testing.assert_allclose(rows[1, :3], BROAD.diffuse, rtol=1e-2)
 
 
 SHAPE = 2, 3

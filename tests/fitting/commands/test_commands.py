@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fitting.commands
-from fitting import sbrdf
+from fitting import sbrdf, sbrdf_levels
 from jaxrelight import read_image, write_image
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.fitted import read_fitted
@@ -105,6 +105,7 @@ def test_refined_factors_say_what_refining_did(folder, run):
 def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(sbrdf, "CHUNK", 8)
+    monkeypatch.setattr(sbrdf_levels, "CHUNK", 4)
     arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--levels", "--report", "report", "--json"
     summary = summary_of(run(*arguments))
     _documented(summary)
