@@ -28,7 +28,7 @@ def blended(
     second: Brdf,
     share: float,
     options: Options = Options(),
-    weight: str = "cosine",
+    weight: str = "log-cosine",
     grid: Grid = Grid(),
 ) -> LafortuneFit:
     """Lobes fitted to (1 − share) · first + share · second.

@@ -50,7 +50,7 @@ class LafortuneFit:
 def fit_lafortune(
     material: Brdf | BrdfSamples,
     options: Options = Options(),
-    weight: str = "cosine",
+    weight: str = "log-cosine",
     hold_out: float = 0.1,
     grid: Grid | None = None,
 ) -> LafortuneFit:

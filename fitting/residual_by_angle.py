@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from fitting.brdf_samples import BrdfSamples
 from jaxrelight.brdf.contract import Brdf
@@ -29,7 +29,7 @@ class Residual:
         self._size = weight * np.square(known).sum(axis=-1)
         self._bins = {name: np.digitize(angle, DEGREES) - 1 for name, angle in samples.angles().items()}
 
-    def over(self, chosen=slice(None)) -> float:
+    def over(self, chosen: Bool[np.ndarray, " s"] | slice = slice(None)) -> float:
         """Of some of the samples; NaN if they are all black."""
         total = self._size[chosen].sum()
         return float(np.sqrt(self._error[chosen].sum() / total)) if total > 0 else float("nan")

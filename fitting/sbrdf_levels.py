@@ -13,6 +13,9 @@ from fitting.solve import Options, fit_lobes
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.spatial import SpatialLobes
 
+# Texels that are refitted together.
+_CHUNK = 512
+
 
 def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 256) -> tuple[SbrdfLevel, np.ndarray]:
     """The next level of detail: lobes refitted to the mean BRDF of every 2×2 texels, and its mask.
@@ -49,10 +52,18 @@ def refitted(
         pairs: of directions that the functions are compared in.
     """
     omega_i, omega_o = spread_pairs(pairs)
-    mean = _mean_values(jax.tree.map(jnp.asarray, texels), jnp.asarray(shares, jnp.float32), omega_i, omega_o)
     weight = (omega_i[:, 2] * omega_o[:, 2]) ** 2
-    fits = fit_lobes(omega_i, omega_o, mean, weight, options=dataclasses.replace(options, anisotropic=False))
-    return np.asarray(packed(fits, jnp.zeros(len(mean))))
+    options = dataclasses.replace(options, anisotropic=False)
+
+    def chunk(start: int) -> np.ndarray:
+        """Of one size, so that one program does for every level."""
+        index = np.minimum(np.arange(start, start + _CHUNK), len(shares) - 1)
+        mine = jax.tree.map(lambda a: jnp.asarray(a[index]), texels)
+        mean = _mean_values(mine, jnp.asarray(shares[index], jnp.float32), omega_i, omega_o)
+        fits = fit_lobes(omega_i, omega_o, mean, weight, options=options)
+        return np.asarray(packed(fits, jnp.zeros(_CHUNK)))
+
+    return np.concatenate([chunk(start) for start in range(0, len(shares), _CHUNK)])[: len(shares)]
 
 
 def mean_normals(normals: Float[np.ndarray, "*p q 3"], shares: Float[np.ndarray, "*p q"]) -> Float[np.ndarray, "*p 3"]:

@@ -25,8 +25,9 @@ class Lafortune:
     """The lobes, as text, with an account of the fit."""
     lobes: Literal[1, 2, 3] = 2
     """How many, beside a diffuse part."""
-    weight: Literal["plain", "cosine", "log-cosine"] = "cosine"
-    """What is compared: reflectance; reflected light; or that on a logarithmic scale, where highlights weigh less."""
+    weight: Literal["plain", "cosine", "log-cosine"] = "log-cosine"
+    """What is compared: reflectance; reflected light, where highlights outweigh all else; or that on a logarithmic
+    scale, which pictures agree with best."""
     anisotropic: bool = False
     """Let lobes differ along and across the tangent."""
     per_channel: bool = False

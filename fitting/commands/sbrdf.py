@@ -118,10 +118,12 @@ def _pictures(folder: pathlib.Path, fit: "SbrdfFit", shown: "Stack", images: "np
     from fitting.report import heat_map, side_by_side
 
     files = [folder / "images.png", folder / "residuals.png"]
-    photograph = np.where(fit.mask[..., None], shown.images[0], 0)
-    exposure = -np.log2(max(float(photograph[fit.mask].mean()), 1e-12) / 0.25)
+    known, first = shown.usable[0] & fit.mask, shown.images[0]
+    exposure = -np.log2(max(float(first[known].mean()) if known.any() else 0.0, 1e-12) / 0.25)
+    # What was saturated is white.
+    photograph = np.where(fit.mask[..., None], np.where(shown.usable[0][..., None], first, 2.0**-exposure), 0)
     side_by_side([photograph, images[0]], exposure, files[0])
-    known = fit.level.residual[np.isfinite(fit.level.residual)]
-    largest = max(float(np.percentile(known, 99)), 1e-6) if known.size else 1.0
+    residuals = fit.level.residual[np.isfinite(fit.level.residual)]
+    largest = max(float(np.percentile(residuals, 99)), 1e-6) if residuals.size else 1.0
     heat_map(fit.level.residual, fit.mask, largest, files[1])
     return [str(file) for file in files]

@@ -76,6 +76,8 @@ def _words(name: str, value) -> str:
         return "none"
     if isinstance(value, str):
         return value
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if name == "seconds":
         return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
     if name == "milliseconds":

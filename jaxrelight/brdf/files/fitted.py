@@ -108,13 +108,13 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
         InputError: if they have numbers that are not finite, or the file cannot be written.
     """
     path = pathlib.Path(path)
-    maps = {name: np.asarray(getattr(factors, name), np.float32) for name in ("light_maps", "view_maps")}
-    if not all(np.isfinite(array).all() for array in maps.values()):
+    light, view = (np.asarray(maps, np.float32) for maps in (factors.light_maps, factors.view_maps))
+    if not (np.isfinite(light).all() and np.isfinite(view).all()):
         raise InputError(f"{path}: the factors are not finite and cannot be written; check the BRDF")
 
     def write(partial: pathlib.Path):
         with partial.open("wb") as file:
-            np.savez_compressed(file, light_maps=maps["light_maps"], view_maps=maps["view_maps"])
+            np.savez_compressed(file, light_maps=light, view_maps=view)
 
     write_whole(path, write)
 

@@ -60,24 +60,23 @@ def test_what_is_not_finite_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_failed_write_leaves_the_earlier_file(tmp_path, monkeypatch):
-    made = separable(factor(phong(0.1, 0.3, 4), 2, 4))
-    for name, write in (
-        ("a.toml", lambda: write_lobes(tmp_path / "a.toml", LOBES["shared"])),
-        ("a.npz", lambda: write_factors(tmp_path / "a.npz", made)),
-    ):
-        write()
-        earlier = (tmp_path / name).read_bytes()
+@pytest.mark.parametrize(
+    ("name", "write", "material"),
+    [("a.toml", write_lobes, LOBES["shared"]), ("a.npz", write_factors, Separable(*[jnp.ones((2, 3, 4, 4))] * 2))],
+    ids=["lobes", "factors"],
+)
+def test_a_failed_write_leaves_the_earlier_file(tmp_path, monkeypatch, name, write, material):
+    write(tmp_path / name, material)
+    earlier = (tmp_path / name).read_bytes()
 
-        def full_disk(*_):
-            raise OSError(28, "No space left on device")
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
 
-        with monkeypatch.context() as patched:
-            patched.setattr(whole_file.os, "replace", full_disk)
-            with pytest.raises(InputError, match="No space left on device"):
-                write()
-        assert (tmp_path / name).read_bytes() == earlier
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "a.toml"]
+    monkeypatch.setattr(whole_file.os, "replace", full_disk)
+    with pytest.raises(InputError, match="No space left on device"):
+        write(tmp_path / name, material)
+    assert (tmp_path / name).read_bytes() == earlier
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 GOOD = 'type = "lafortune"\ndiffuse = 0.1\n[[lobes]]\nC = [-1, -1, 1]\nexponent = 5\npeak = 0.5\n'

@@ -53,12 +53,12 @@ def test_lafortune_writes_a_material_and_says_how_good_it_is(folder, run):
 
 def test_lafortune_in_words_and_with_every_choice(folder, run):
     (folder / "paint.bsdf").write_bytes(writers.rgl(azimuths=5))
-    dials = "--weight", "log-cosine", "--anisotropic", "--per-channel", "--hold-out", "0"
+    dials = "--weight", "cosine", "--anisotropic", "--per-channel", "--hold-out", "0"
     status, out, err = run("lafortune", "paint.bsdf", "-o", "paint.toml", *ONE, *dials)
     assert (status, err) == (0, "")
     lines = dict(line.strip().split("  ", 1) for line in out.splitlines())
     assert lines["held out"] == "none"
-    assert lines["weight"] == "log-cosine"
+    assert lines["weight"] == "cosine"
     assert lines["residual"].endswith(" %")
     made = read_fitted(folder / "paint.toml")
     assert isinstance(made, LobeSum)
