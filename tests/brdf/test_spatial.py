@@ -1,0 +1,84 @@
+"""Maps of lobes: what lies in a texel, and what lies between texels."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.spatial import SpatialLobes
+
+OMEGA = jnp.asarray([0.6, 0, 0.8]), jnp.asarray([-0.48, 0.36, 0.8])
+
+
+def maps(h=3, w=4, lobes=2, seed=0) -> SpatialLobes:
+    rng = np.random.default_rng(seed)
+    C = rng.uniform(-1, 1, (h, w, lobes, 3))
+    angle = rng.uniform(-1.5, 1.5, (h, w))
+    arrays = (
+        rng.uniform(0, 0.5, (h, w, 3)),
+        C / np.abs(C).max(axis=-1, keepdims=True),
+        np.exp(rng.uniform(0, 5, (h, w, lobes))),
+        rng.uniform(0, 2, (h, w, lobes, 3)),
+        np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1),
+    )
+    return SpatialLobes(*(jnp.asarray(a, jnp.float32) for a in arrays))
+
+
+def test_at_the_centre_of_a_texel_lie_its_own_parameters():
+    spatial = maps()
+    for row, column in ((0, 0), (1, 3), (2, 1)):
+        uv = jnp.asarray([(column + 0.5) / 4, 1 - (row + 0.5) / 3])
+        axis = spatial.axis[row, column]
+        own = LobeSum(
+            spatial.diffuse[row, column],
+            spatial.C[row, column][:, None],
+            spatial.exponent[row, column][:, None],
+            spatial.scale[row, column],
+            jnp.arctan2(axis[1], axis[0]) / 2,
+        )
+        np.testing.assert_allclose(spatial.at(uv).evaluate(*OMEGA), own.evaluate(*OMEGA), rtol=2e-4)
+
+
+def test_arrays_lead_with_the_coordinates():
+    uv = jnp.asarray(np.random.default_rng(1).random((5, 2)), jnp.float32)
+    found = maps().at(uv)
+    assert found.C.shape == (5, 2, 1, 3)
+    one = maps().at(uv[3])
+    np.testing.assert_allclose(found.exponent[3], one.exponent)
+
+
+def test_between_texels_exponents_meet_by_their_logarithms_and_directions_of_c_stay_unit():
+    spatial = maps(1, 2)
+    between = spatial.at(jnp.asarray([0.5, 0.5]))
+    np.testing.assert_allclose(between.exponent[:, 0] ** 2, np.prod(spatial.exponent[0], axis=0), rtol=1e-4)
+    np.testing.assert_allclose(np.abs(between.C).max(axis=-1), 1, rtol=1e-6)
+
+
+def test_directions_of_anisotropy_meet_the_shorter_way():
+    """85° and −85°, which differ by 10°, meet at 90° and not at 0°."""
+    spatial = maps(1, 2)
+    angle = np.radians([85, -85])
+    axis = jnp.asarray(np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1)[None], jnp.float32)
+    turn = SpatialLobes(spatial.diffuse, spatial.C, spatial.exponent, spatial.scale, axis).at(jnp.asarray([0.5, 0.5]))
+    assert turn.turn is not None
+    np.testing.assert_allclose(abs(np.degrees(turn.turn)), 90, atol=1e-3)
+
+
+def test_gradients_are_finite_also_where_texels_cancel():
+    spatial = maps(1, 2)
+    opposite = jnp.stack([spatial.C[:, 0], -spatial.C[:, 0]], axis=1)
+    axis = jnp.asarray([[[1.0, 0], [-1, 0]]])
+
+    def total(C, axis, exponent):
+        whole = SpatialLobes(spatial.diffuse, C, exponent, spatial.scale, axis)
+        return jnp.sum(whole.at(jnp.asarray([0.5, 0.5])).evaluate(*OMEGA))
+
+    for slope in jax.grad(total, argnums=(0, 1, 2))(opposite, axis, spatial.exponent * 0):
+        assert np.isfinite(slope).all()
+
+
+def test_a_material_of_maps_needs_texture_coordinates():
+    material = Material((Component(maps()),))
+    assert material.is_spatial
+    assert material.needs_uv

@@ -1,0 +1,138 @@
+"""Texels fitted by themselves: known maps come back, bad texels are flagged and harm nobody."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting import sbrdf
+from fitting.prediction import lambert_only, predicted, relative_error
+from fitting.sbrdf import fit_sbrdf
+from fitting.sbrdf_levels import coarser
+from fitting.solve import Options, Verdict
+from fitting.stack import Stack, stack_of
+from jaxrelight.brdf.files.sbrdf import SbrdfLevel
+from jaxrelight.brdf.spatial import SpatialLobes
+
+SIZE = 4
+
+
+@pytest.fixture(autouse=True)
+def _small_chunks(monkeypatch):
+    monkeypatch.setattr(sbrdf, "CHUNK", 8)
+
+
+def _level() -> SbrdfLevel:
+    """Two materials: a soft and a sharper lobe, over different albedos."""
+    left = np.arange(SIZE)[None, :, None] < SIZE / 2
+    shape = (SIZE, SIZE)
+    diffuse = np.where(left, [0.4, 0.2, 0.1], [0.1, 0.3, 0.5])
+    C = np.broadcast_to([-1.0, -1, 0.9], (*shape, 1, 3))
+    exponent = np.broadcast_to(np.where(left, 6.0, 20.0), (*shape, 1))
+    scale = np.broadcast_to(np.where(left, 0.4, 1.2)[..., None], (*shape, 1, 3))
+    axis = np.broadcast_to([1.0, 0], (*shape, 2))
+    maps = SpatialLobes(
+        *(jnp.asarray(a, jnp.float32) for a in (np.broadcast_to(diffuse, (*shape, 3)), C, exponent, scale, axis))
+    )
+    normals = np.random.default_rng(0).normal([0, 0, 1], 0.15, (*shape, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return SbrdfLevel(maps, normals, np.zeros(shape, int), np.zeros(shape, np.float32))
+
+
+def _stack(count=60, noise=0.0) -> Stack:
+    index = np.arange(count)
+    slant = 0.95 * np.sqrt((index + 0.5) / count)
+    lights = np.stack([slant * np.cos(2.4 * index), slant * np.sin(2.4 * index), np.sqrt(1 - slant**2)], axis=-1)
+    eyes = np.stack([0.5 * np.sin(1.7 * index), 0.4 * np.cos(1.1 * index), np.ones(count)], axis=-1)
+    blank = stack_of(np.zeros((count, SIZE, SIZE, 3)), lights, views=eyes, normals=_level().normals)
+    images = predicted(_level(), blank)
+    return dataclasses.replace(blank, images=images * (1 + noise * np.random.default_rng(1).normal(size=images.shape)))
+
+
+def test_known_lobes_come_back():
+    fit = fit_sbrdf(_stack(), share=0)
+    assert fit.counts() == {"good": SIZE * SIZE}
+    assert not fit.estimated
+    truth = _level().lobes
+    np.testing.assert_allclose(fit.level.lobes.exponent, truth.exponent, rtol=0.02)
+    np.testing.assert_allclose(fit.level.lobes.C, truth.C, atol=0.01)
+    np.testing.assert_allclose(fit.level.lobes.diffuse, truth.diffuse, atol=0.005)
+
+
+def test_images_held_out_are_predicted_to_the_noise_and_better_than_by_lambert():
+    stack = _stack(noise=0.02)
+    held = np.arange(60) % 6 == 3
+    seen, unseen = stack.of(~held), stack.of(held)
+    fit = fit_sbrdf(seen)
+    found = relative_error(predicted(fit.level, unseen), unseen)
+    assert found < 0.04
+    assert found < 0.3 * relative_error(predicted(lambert_only(seen, fit.level.normals), unseen), unseen)
+
+
+def test_bad_texels_are_flagged_and_leave_the_others_as_they_are():
+    stack = _stack()
+    images, usable = stack.images.copy(), stack.usable.copy()
+    images[:, 0, 0], usable[:, 0, 0] = 0, False  # as stack_of leaves NaN
+    images[:, 1, 1] = 0
+    bad = fit_sbrdf(dataclasses.replace(stack, images=images, usable=usable), share=0)
+    good = fit_sbrdf(stack, share=0)
+    assert bad.level.flag[0, 0] == Verdict.NO_DATA
+    assert bad.level.flag[1, 1] == Verdict.BLACK
+    same = np.ones((SIZE, SIZE), bool)
+    same[0, 0] = same[1, 1] = False
+    for name, array in vars(good.level.lobes).items():
+        np.testing.assert_array_equal(np.asarray(getattr(bad.level.lobes, name))[same], np.asarray(array)[same])
+    assert all(np.isfinite(array).all() for array in vars(bad.level.lobes).values())
+
+
+def test_what_was_done_is_not_done_again(tmp_path, monkeypatch):
+    stack = _stack()
+    told = []
+
+    def stop(done, total):
+        told.append((done, total))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_sbrdf(stack, folder=tmp_path, report=stop)
+    assert told == [(8, 16)]
+    calls = []
+    inner = sbrdf._fit_texels
+    monkeypatch.setattr(sbrdf, "_fit_texels", lambda *given: calls.append(1) or inner(*given))
+    resumed = fit_sbrdf(stack, folder=tmp_path)
+    assert len(calls) == 1
+    whole = fit_sbrdf(stack)
+    np.testing.assert_array_equal(resumed.level.lobes.exponent, whole.level.lobes.exponent)
+
+
+def test_the_coarser_level_is_the_mean_of_the_functions():
+    """Of equal texels it is those; of a soft and a sharp highlight neither, but close to their mean."""
+    level, mask = coarser(_level(), np.ones((SIZE, SIZE), bool), Options())
+    assert mask.shape == (2, 2)
+    np.testing.assert_allclose(level.lobes.exponent[:, 0, 0], 6, rtol=0.03)
+    np.testing.assert_allclose(level.lobes.exponent[:, 1, 0], 20, rtol=0.03)
+    coarsest, mask = coarser(level, mask, Options())
+    assert coarsest.lobes.shape == mask.shape == (1, 1)
+    assert 6 < float(coarsest.lobes.exponent[0, 0, 0]) < 20
+    assert coarsest.residual[0, 0] < 0.1
+    np.testing.assert_allclose(np.linalg.norm(coarsest.normals, axis=-1), 1)
+
+
+def test_texels_off_the_mask_do_not_count():
+    mask = np.ones((SIZE, SIZE), bool)
+    mask[:, 1] = False
+    mask[2:, :2] = False
+    level, new_mask = coarser(_level(), mask, Options())
+    np.testing.assert_array_equal(new_mask, [[True, True], [False, True]])
+    np.testing.assert_allclose(level.lobes.exponent[0, 0], 6, rtol=0.03)
+
+
+def test_the_lowest_of_some_angles_is_found_between_them():
+    angles = np.arange(6) * np.pi / 12
+    truth = np.array([0.3, 1.4, 0.0, 1.56])
+    apart = np.sin(angles - truth[:, None])
+    residuals = np.sqrt(0.1 + np.minimum(apart**2, np.cos(angles - truth[:, None]) ** 2))
+    found = sbrdf._lowest(angles, residuals)
+    difference = (found - truth + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    assert np.abs(difference).max() < np.radians(4)
