@@ -86,9 +86,8 @@ def fit_sbrdf(
     common = _common(stack, normals, options) if share > 0 else None
     chunks = -(-len(place) // CHUNK)
     width = 7 * options.lobes + 7
-    key = store.key_of(
-        stack.images, stack.usable, stack.lights, stack.views, normals, stack.mask, dataclasses.astuple(options)
-    )
+    data = stack.images, stack.usable, stack.lights, stack.views, normals, stack.mask
+    key = store.key_of(*data, dataclasses.astuple(options), share, CHUNK)
     layer = None
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)

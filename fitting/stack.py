@@ -7,7 +7,6 @@ directions to it are given. Lights are far away.
 import dataclasses
 import pathlib
 import tomllib
-import zipfile
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,9 +14,10 @@ from jaxtyping import Bool, Float
 from jaxrelight.errors import InputError
 from jaxrelight.images import read_image
 from jaxrelight.images.tone import srgb_encode
+from jaxrelight.npz import read_npz
 
 _AXIS = np.array([0.0, 0.0, 1.0])
-# Pixels of an archive, times images: more is refused before it is read.
+# Bytes of an array of an archive.
 _LARGEST = 2**31
 
 
@@ -146,14 +146,7 @@ def _directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndar
 
 
 def _from_npz(path: pathlib.Path) -> Stack:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            found = {key: _member(path, archive, key) for key in archive.files}
-    except InputError:
-        raise
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, MemoryError) as fault:
-        reason = getattr(fault, "strerror", None) or "damaged, cut short or no .npz file"
-        raise InputError(f"{path}: cannot be read as a stack ({reason}); save it again") from None
+    found = read_npz(path, "a stack of images", _LARGEST)
     for key in ("images", "light_directions"):
         if key not in found:
             raise InputError(f"{path}: '{key}' is missing; it has {', '.join(sorted(found)) or 'nothing'}")
@@ -170,20 +163,6 @@ def _from_npz(path: pathlib.Path) -> Stack:
         normals=found.get("normals", found.get("normal_gt")),
         name=path.name,
     )
-
-
-def _member(path: pathlib.Path, archive, key: str) -> np.ndarray:
-    """One array of an archive, refused by its header if it is too large."""
-    with archive.zip.open(f"{key}.npy") as file:
-        version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(file)
-    size = int(np.prod([float(side) for side in shape])) if shape else 1
-    if size * dtype.itemsize > _LARGEST:
-        raise InputError(f"{path}: '{key}' of shape {shape} is larger than {_LARGEST / 2**30:.0f} GiB; crop the images")
-    if dtype.kind not in "uifb":
-        raise InputError(f"{path}: '{key}' does not hold numbers")
-    return archive[key]
 
 
 def _from_toml(path: pathlib.Path) -> Stack:

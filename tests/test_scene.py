@@ -309,7 +309,6 @@ def test_scene_without_camera(folder):
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ('type = "lambert"', 'type = "sbrdf"', "type 'sbrdf' is not supported yet"),
         ("[[mesh]]", '[[light]]\ntype = "point"\n[[mesh]]', "[[light]] is not supported yet"),
     ],
 )

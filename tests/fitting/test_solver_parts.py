@@ -45,7 +45,8 @@ def test_columns_of_zeros_get_nothing_and_equal_ones_what_they_have_in_common():
 @pytest.mark.parametrize("anisotropic", [False, True])
 def test_the_model_of_the_projected_residual_is_that_of_its_derivatives(x64, anisotropic):
     data = texels(1, 60, 0.05, seed=7)
-    samples = prepare(*(jnp.asarray(a[0]) for a in (data.omega_i, data.omega_o, data.values)), jnp.ones(60))
+    omega_i, omega_o, values = (jnp.asarray(a[0]) for a in (data.omega_i, data.omega_o, data.values))
+    samples = prepare(omega_i, omega_o, values, jnp.ones(60))
     C = jnp.asarray([[-1.0, -1.0, 0.8], [0.3, 0.3, 1.0]])
     chart, unknowns = chart_around(C, jnp.asarray([8.0, 2.0]), anisotropic)
     given = (chart, samples)

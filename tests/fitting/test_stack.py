@@ -101,7 +101,7 @@ def test_a_list_of_images(tmp_path):
         ({"light_intensities": -np.ones((3, 3))}, "must be positive"),
         ({"mask": np.zeros((4, 5))}, "no pixel shows the surface"),
         ({"normals": np.zeros((4, 4, 3))}, "normals have shape"),
-        ({"images": np.array(["a"] * 3)}, "does not hold numbers"),
+        ({"images": np.array(["a"] * 3)}, "does not hold real numbers"),
     ],
 )
 def test_archives_that_do_not_fit_are_refused(tmp_path, change, word):

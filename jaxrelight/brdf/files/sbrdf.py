@@ -14,10 +14,8 @@ v = 1. Channels of every part, all float32:
 """
 
 import dataclasses
-import os
 import pathlib
 import re
-import uuid
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -29,6 +27,7 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.images.exr import read_channels, write_channels
+from jaxrelight.whole_file import write_whole
 
 _LARGEST = 2**26  # texels
 
@@ -59,14 +58,8 @@ def write_sbrdf(path: str | pathlib.Path, levels: Sequence[SbrdfLevel]) -> None:
     path = pathlib.Path(path)
     if path.suffix.lower() != ".exr":
         raise InputError(f"{path}: SBRDF maps are written as .exr; change the name")
-    partial = path.with_name(f".{uuid.uuid4().hex}.partial.exr")
-    try:
-        write_channels(partial, [(f"level{number}", _channels(level)) for number, level in enumerate(levels)])
-        os.replace(partial, path)
-    except OSError as fault:
-        raise InputError(f"{path}: cannot be written, {fault.strerror or fault}; check space and rights") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    parts = [(f"level{number}", _channels(level)) for number, level in enumerate(levels)]
+    write_whole(path, lambda partial: write_channels(partial, parts))
 
 
 def read_sbrdf(path: str | pathlib.Path) -> list[SbrdfLevel]:

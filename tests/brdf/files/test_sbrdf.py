@@ -91,7 +91,7 @@ def test_files_that_are_none_are_refused(tmp_path):
             read_sbrdf(path)
     with pytest.raises(InputError, match=r"are written as \.exr"):
         write_sbrdf(tmp_path / "a.png", [level()])
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="does not exist"):
         write_sbrdf(tmp_path / "absent" / "a.exr", [level()])
 
 
