@@ -7,9 +7,11 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from fitting.normals import estimated_normals
+from fitting.residuals import columns, factors
+from fitting.samples import prepare
 from fitting.solve import Fits, Options, Verdict, fit_lobes
 from fitting.stack import Stack
 from jaxrelight import safe, store
@@ -26,6 +28,8 @@ LEAST_COSINE, SHADOW = 0.08, 0.1
 # Texels that the lobes of the whole surface are fitted to, samples that stand for them in a texel's own fit, and the
 # share of its weight that these have: chosen by images held out of the DiLiGenT ball.
 _POOL, _PRIOR, SHARE = 256, 32, 0.1
+# A lobe of which no sample sees as much as this share of the peak is extrapolated, and may be of any height there.
+_SEEN = 0.25
 # Directions of anisotropy that are tried: a quarter of the circle, since C's x and y may change places.
 _ANGLES = 6
 
@@ -67,13 +71,15 @@ def fit_sbrdf(
     Texels whose fit is not good are flagged by their `Verdict`.
 
     Few lights meet a narrow highlight, and a texel that none of them meets could be given any. So lobes are first
-    fitted to many texels together, and stand beside a texel's own samples with a small weight: they decide where
-    those say nothing.
+    fitted to many texels together, and stand beside a texel's own samples with a small weight. A texel whose samples
+    still do not determine its lobes, or see none of their peaks, is given the common C and exponents, with albedos of
+    its own, and the verdict `UNCERTAIN`; it is diffuse where the whole surface shows no lobe either.
 
     Args:
         stack: images, lights and, where they are known, normals; else they are estimated.
         options: of the fit; with `anisotropic`, a direction of anisotropy is sought for every texel.
-        share: weight of the surface's common lobes, over that of a texel's own samples; 0 for each texel by itself.
+        share: weight of the surface's common lobes, over that of a texel's own samples; 0 for each texel by itself,
+            whatever comes of it.
         folder: where finished chunks are kept, so that a run that was stopped goes on; nothing is kept without one.
         report: called after every chunk.
     """
@@ -133,7 +139,50 @@ def _common(stack: Stack, normals: Float[np.ndarray, "h w 3"], options: Options)
     over = f - _median(f, weight)[:, None]
     together = [a.reshape(1, -1, *a.shape[2:]) for a in (omega_i, omega_o, over, weight)]
     found = fit_lobes(*together, options=dataclasses.replace(options, anisotropic=False))
-    return dataclasses.replace(jax.tree.map(lambda a: a[0], found.brdf), diffuse=jnp.zeros(3))
+    brdf = jax.tree.map(lambda a: a[0], found.brdf)
+    unknown = _undetermined(found, together[0], together[1], together[3])[0]
+    return dataclasses.replace(brdf, diffuse=jnp.zeros(3), scale=jnp.where(unknown, 0, brdf.scale))
+
+
+@jax.jit
+def _undetermined(fits: Fits, omega_i, omega_o, weight) -> Bool[Array, " p"]:
+    """Whether samples leave a lobe open: by their Jacobian, or because none of them is near its peak."""
+    along = fits.brdf.C[:, :, 0][:, None] * omega_o[:, :, None]  # [p, n, l, 3]
+    length = safe.norm(along)
+    cosine = jnp.einsum("pnla,pna->pnl", along, omega_i) / jnp.where(length > 0, length, 1)
+    nearest = jnp.max(jnp.where(weight[..., None] > 0, cosine, 0), axis=1)
+    seen = safe.power(nearest, fits.brdf.exponent[:, :, 0])
+    active = jnp.any(fits.brdf.scale > 0, axis=-1)
+    open_ends = (fits.verdict == Verdict.UNCERTAIN) | (fits.verdict == Verdict.AT_BOUND)
+    return open_ends | jnp.any(active & (seen < _SEEN), axis=1)
+
+
+@jax.jit
+def _with_lobes_of(common: LobeSum, fits: Fits, unknown, omega_i, omega_o, values, weight) -> Fits:
+    """Some texels' lobes replaced by the common ones, with the albedos that are best for each."""
+
+    def one(omega_i, omega_o, values, weight):
+        samples = prepare(omega_i, omega_o, values, weight)
+        G = columns(common.C[:, 0], common.exponent[:, 0], samples.products)
+        # Lobes that the surface does not show are none here either.
+        G = G * jnp.append(True, jnp.any(common.scale > 0, axis=-1))[:, None] * samples.root_weight
+        own = samples.values * samples.root_weight
+        albedos = factors(G, own)
+        energy = jnp.sum(own**2)
+        residual = jnp.sqrt(jnp.sum((albedos @ G - own) ** 2) / jnp.where(energy > 0, energy, 1))
+        brdf = LobeSum(albedos[:, 0] * samples.scale, common.C, common.exponent, albedos[:, 1:].T * samples.scale)
+        return brdf, residual
+
+    brdf, residual = jax.vmap(one)(omega_i, omega_o, values, weight)
+    verdict = jnp.full_like(fits.verdict, int(Verdict.UNCERTAIN))
+    new = dataclasses.replace(fits, brdf=brdf, residual=residual, verdict=verdict)
+    # Nothing is known of texels without data, and they stay so.
+    unknown = unknown & (fits.verdict != Verdict.NO_DATA)
+
+    def chosen(a, b):
+        return jnp.where(unknown.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+    return jax.tree.map(chosen, new, fits)
 
 
 def _median(f: Float[Array, "p n 3"], weight: Float[Array, "p n"]) -> Float[Array, "p 3"]:
@@ -169,16 +218,22 @@ def _fit_texels(
     if common is not None:
         omega_i, omega_o, values, weight = _with_common(omega_i, omega_o, values, weight, common, share)
 
-    def turned_by(angle: Float[Array, " p"]) -> Fits:
-        light, eye = (turned(omega, -angle[:, None]) for omega in (omega_i, omega_o))
-        return fit_lobes(light, eye, values, weight, options=options)
+    def turned_by(angle: Float[Array, " p"]) -> tuple[Array, Array]:
+        return turned(omega_i, -angle[:, None]), turned(omega_o, -angle[:, None])
+
+    def fitted(angle: Float[Array, " p"]) -> Fits:
+        return fit_lobes(*turned_by(angle), values, weight, options=options)
 
     angle = jnp.zeros(len(values))
     if options.anisotropic:
         steps = np.arange(_ANGLES) * (np.pi / 2 / _ANGLES)
-        tried = np.stack([np.asarray(turned_by(jnp.full(len(values), step)).residual) for step in steps], axis=1)
+        tried = np.stack([np.asarray(fitted(jnp.full(len(values), step)).residual) for step in steps], axis=1)
         angle = jnp.asarray(_lowest(steps, tried), jnp.float32)
-    return packed(turned_by(angle), angle)
+    fits = fitted(angle)
+    if common is not None:
+        directions = turned_by(angle)
+        fits = _with_lobes_of(common, fits, _undetermined(fits, *directions, weight), *directions, values, weight)
+    return packed(fits, angle)
 
 
 def packed(fits: Fits, angle: Float[Array, " p"]) -> Float[Array, "p width"]:

@@ -17,6 +17,8 @@ from jaxrelight.images.tone import srgb_encode
 from jaxrelight.npz import read_npz
 
 _AXIS = np.array([0.0, 0.0, 1.0])
+# What normals are called.
+_NORMALS = "normals", "normal_gt"
 # Bytes of an array of an archive.
 _LARGEST = 2**31
 
@@ -146,10 +148,11 @@ def _directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndar
 
 
 def _from_npz(path: pathlib.Path) -> Stack:
-    found = read_npz(path, "a stack of images", _LARGEST)
-    for key in ("images", "light_directions"):
+    required, known = ("images", "light_directions"), ("light_intensities", "view_directions", "mask", *_NORMALS)
+    found = read_npz(path, "a stack of images", (*required, *known), _LARGEST)
+    for key in required:
         if key not in found:
-            raise InputError(f"{path}: '{key}' is missing; it has {', '.join(sorted(found)) or 'nothing'}")
+            raise InputError(f"{path}: '{key}' is missing; a stack has {' and '.join(required)}")
     images = found["images"]
     whole = images.dtype.kind in "ui"
     top = np.iinfo(images.dtype).max if whole else 1
@@ -160,7 +163,7 @@ def _from_npz(path: pathlib.Path) -> Stack:
         intensities=found.get("light_intensities"),
         views=found.get("view_directions"),
         mask=found.get("mask"),
-        normals=found.get("normals", found.get("normal_gt")),
+        normals=next((found[name] for name in _NORMALS if name in found), None),
         name=path.name,
     )
 

@@ -2,18 +2,20 @@
 
 import math
 import pathlib
+from collections.abc import Collection
 
 import numpy as np
 
 from jaxrelight.errors import InputError
 
 
-def read_npz(path: pathlib.Path, what: str, largest: int = 2**30) -> dict[str, np.ndarray]:
-    """The arrays of an archive, by name.
+def read_npz(path: pathlib.Path, what: str, wanted: Collection[str], largest: int = 2**30) -> dict[str, np.ndarray]:
+    """The arrays of an archive that are wanted, by name; it may lack some, and hold others.
 
     Args:
         path: the file.
         what: what it should be, as messages call it.
+        wanted: names.
         largest: bytes that any array may have.
 
     Raises:
@@ -23,7 +25,7 @@ def read_npz(path: pathlib.Path, what: str, largest: int = 2**30) -> dict[str, n
         raise InputError(f"{path}: cannot be read as {what}: it is not a regular file; check the path")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return {name: _member(path, archive, name, largest) for name in archive.files}
+            return {name: _member(path, archive, name, largest) for name in archive.files if name in wanted}
     except InputError:
         raise
     except OSError as fault:

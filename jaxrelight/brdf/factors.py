@@ -178,7 +178,7 @@ def check_terms(terms: int, resolution: int, parametrisation: Parametrisation = 
     """
     count = int(parametrisation.directions(resolution)[1].sum())
     if not 1 <= terms <= count:
-        raise InputError(f"{terms} terms cannot be had from {count} directions; ask for fewer")
+        raise InputError(f"{terms} terms cannot be had from {count} directions; ask for 1 to {count}")
 
 
 class _Samples:

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
-import scipy.spatial
 from jaxtyping import Float
+from scipy.sparse import csr_array
 
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.spectra import to_rec709_weights
@@ -118,6 +117,7 @@ def interpolated(pairs: Pairs, shape: tuple[int, int, int] = SHAPE) -> tuple[Tab
         InputError: if the pairs do not span these coordinates.
     """
     from scipy.interpolate import RBFInterpolator
+    from scipy.spatial import KDTree
 
     angles = _angles(pairs)
     points = _coordinates(*angles)
@@ -133,7 +133,7 @@ def interpolated(pairs: Pairs, shape: tuple[int, int, int] = SHAPE) -> tuple[Tab
         found = RBFInterpolator(points, logs, neighbors=neighbours)(wanted)
     except (np.linalg.LinAlgError, ValueError):
         raise InputError("its pairs of directions are too much alike") from None
-    near = logs[scipy.spatial.KDTree(points).query(wanted, neighbours)[1]]
+    near = logs[KDTree(points).query(wanted, neighbours)[1]]
     found = np.exp(np.clip(found, near.min(axis=1), near.max(axis=1))) - floor
     first = found.reshape(*shape[:2], len(half), -1)
     table = np.concatenate([first, first[:, :, : shape[2] - len(half)][:, :, ::-1]], axis=2)
@@ -163,7 +163,7 @@ def _through(table: np.ndarray, floor: np.ndarray, pairs: Pairs, angles: np.ndar
         entries, weights = jax.vmap(lambda *one: corners(HalfDifference(*one), table.shape[:3]))(*jnp.asarray(places))
     rows = np.repeat(np.arange(places.shape[1]), 8)
     used, columns = np.unique(np.ravel(entries), return_inverse=True)
-    at_pairs = scipy.sparse.csr_array((np.ravel(weights), (rows, columns)), shape=(len(rows) // 8, len(used)))
+    at_pairs = csr_array((np.ravel(weights), (rows, columns)), shape=(len(rows) // 8, len(used)))
     share = at_pairs.sum(axis=0)[:, None] + 1e-12
     wanted = np.tile(pairs.values, (2, 1))
     flat = table.reshape(-1, table.shape[3])

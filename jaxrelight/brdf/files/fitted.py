@@ -120,7 +120,7 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
 
 
 def _factors(path: pathlib.Path) -> Separable:
-    found = read_npz(path, "factors")
+    found = read_npz(path, "factors", ("light_maps", "view_maps"))
     for name in ("light_maps", "view_maps"):
         if name not in found:
             raise InputError(f"{path}: '{name}' is missing; it has {', '.join(sorted(found)) or 'nothing'}")

@@ -35,6 +35,8 @@ def load_brdf(path: str | pathlib.Path) -> BrdfFile:
             numbers that are not finite.
     """
     content = Content(path)
+    if not content.data:
+        raise content.fault("is empty")
     if content.data.startswith(MAGIC):
         kind, (brdf, notes) = "RGL", read_rgl(content)
     elif is_cornell(content):
