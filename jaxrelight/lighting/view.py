@@ -63,9 +63,9 @@ class View:
 def make_view(transport: Transport, camera: Camera) -> View:
     """Traces a camera's G-buffer and finds each pixel's receivers.
 
-    Where receivers are pixels, the camera must be the transport's own.
+    Where receivers are pixels, the camera must be the transport's own, and what it sees is known.
     """
-    gbuffer = see(transport.surfaces, transport.tracer, camera, transport.normal_maps)
+    gbuffer = transport.seen or see(transport.surfaces, transport.tracer, camera, transport.normal_maps)
     vertices = transport.settings.receivers == "vertices"
     slot = transport.receivers.slot_of
     corners = np.where(gbuffer.back[:, None], transport.surfaces.back[gbuffer.corners], gbuffer.corners)

@@ -23,6 +23,7 @@ from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame, to_local
+from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
@@ -66,6 +67,7 @@ class Transport:
         normal_maps: of each mesh, where receivers are pixels.
         tracer: rays against it.
         receivers: the points of the operator's rows.
+        seen: what the scene's camera sees, where receivers are its pixels.
         blocks: what the operator's rows belong to, in their order: a block for each BRDF of each material seen.
         operator: from light to light terms; its rows are ordered by block, group, receiver and term.
         basis: of the operator's light.
@@ -83,6 +85,7 @@ class Transport:
     normal_maps: NormalMaps
     tracer: Tracer
     receivers: Receivers
+    seen: GBuffer | None
     blocks: tuple[Block, ...]
     operator: Stacked
     basis: bake.Basis
@@ -114,12 +117,14 @@ class Placed:
         normal_maps: theirs.
         tracer: rays against them.
         receivers: the points of the operator's rows.
+        seen: what the scene's camera sees, where receivers are its pixels.
     """
 
     surfaces: Surfaces
     normal_maps: NormalMaps
     tracer: Tracer
     receivers: Receivers
+    seen: GBuffer | None
 
 
 def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed | None = None) -> Transport:
@@ -185,6 +190,7 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         surfaces=at_vertices(surfaces, placed.normal_maps) if settings.receivers == "vertices" else surfaces,
         normal_maps=() if settings.receivers == "vertices" else placed.normal_maps,
         tracer=placed.tracer,
+        seen=placed.seen,
         receivers=receivers,
         blocks=tuple(blocks),
         operator=Stacked(tuple(operators)),
@@ -206,8 +212,8 @@ def _placed(folder: pathlib.Path, header: dict, camera: Camera, settings: Settin
     maps = {number: read_texture(folder, entry) for number, entry in entries.items() if entry is not None}
     normal_maps = tuple(maps.get(number) for number in header["material_of_mesh"])
     material_of_mesh = np.array(header["material_of_mesh"])
-    receivers = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
-    return Placed(surfaces, normal_maps, tracer, receivers)
+    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
+    return Placed(surfaces, normal_maps, tracer, receivers, seen)
 
 
 def _whole_layer(folder: pathlib.Path) -> store.Layer:
@@ -311,11 +317,15 @@ def receivers_of(
     normal_maps: NormalMaps,
     camera: Camera,
     settings: Settings,
-) -> Receivers:
-    """The receivers that the settings ask for: they follow from the geometry, so that no store need hold them."""
+) -> tuple[Receivers, GBuffer | None]:
+    """The receivers that the settings ask for, and what is seen where they are pixels.
+
+    They follow from the geometry, so that no store need hold them.
+    """
     if settings.receivers == "vertices":
-        return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh)
-    return pixel_receivers(see(surfaces, tracer, camera, normal_maps), material_of_mesh)
+        return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh), None
+    seen = see(surfaces, tracer, camera, normal_maps)
+    return pixel_receivers(seen, material_of_mesh), seen
 
 
 def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:

@@ -111,7 +111,7 @@ def precompute(
         whole_key = store.key_of(geometry_key, surfaces.uv, surfaces.uv_tangents)
         tracer = Tracer(surfaces)
         bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
-        receivers = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
+        receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
         if not receivers.count:
             raise InputError(
                 f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices"
@@ -182,7 +182,7 @@ def precompute(
         notes.append(
             "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
         )
-    placed = Placed(surfaces, tuple(bumps), tracer, receivers)
+    placed = Placed(surfaces, tuple(bumps), tracer, receivers, seen)
     return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, placed, tuple(notes))
 
 
