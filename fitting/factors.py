@@ -10,7 +10,8 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import COSINE, Factored
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factors import COSINE
 from jaxrelight.brdf.parametrisation import Parametrisation
 
 # Directions for each texel of a map: fewer would leave texels that none determines.

@@ -43,7 +43,8 @@ class Factors:
         from fitting.report import check_report, write_report
         from fitting.residual_by_angle import DEGREES, Residual
         from fitting.weights import weights
-        from jaxrelight.brdf.factors import Factored, check_terms, factor
+        from jaxrelight.brdf.factored import Factored
+        from jaxrelight.brdf.factors import check_terms, factor
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_factors
         from jaxrelight.brdf.separable import separable

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import COSINE, Factored
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factors import COSINE
 
 
 def refactored(brdf: Brdf, start: Factored, cosine: tuple[float, float] = COSINE) -> Factored:

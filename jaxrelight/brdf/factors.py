@@ -1,20 +1,19 @@
 """Separable factors of a BRDF (Wang 2006 §3.3): the forms, and the one entry to them."""
 
-from collections.abc import Iterator
-from typing import Any, Literal, overload
+from collections.abc import Callable, Iterator
+from typing import Literal, overload
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
-import scipy.sparse.linalg
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.nonnegative import nonnegative_factors, nonnegative_rows
-from jaxrelight.brdf.parametrisation import DISC, Parametrisation, look_up
-from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.brdf.parametrisation import DISC, Parametrisation
+from jaxrelight.brdf.singular import asymmetry, largest_eigen, largest_singular
 from jaxrelight.errors import InputError
 
 Form = Literal["svd", "symmetric", "normalised", "nonnegative"]
@@ -25,71 +24,6 @@ COSINE = (0.25, 0.25)
 
 # Pairs of directions that are evaluated at a time, bytes of a matrix in double precision, and of any.
 _BLOCK, _DOUBLE, _LARGEST = 2**21, 2**28, 3 * 2**29
-
-
-class Factored(Reflection):
-    """k light maps and k view maps over the hemisphere, looked up bilinearly.
-
-    Map texels are in the order y, x of the parametrisation; the disc's are (x + 1)/2, (y + 1)/2 of the local direction.
-    """
-
-    light_maps: Float[Array, "k c1 r r"]
-    view_maps: Float[Array, "k c r r"]
-    parametrisation: Parametrisation = DISC
-
-    @property
-    def channels(self) -> int:
-        """Channels of the light maps: 1 for a BRDF that is the same in all directions, whose colour is the view's."""
-        return self.light_maps.shape[1]
-
-    @property
-    def terms(self) -> int:
-        """k, the number of maps of a side."""
-        return self.light_maps.shape[0]
-
-    def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
-        """g_k(ω_i)."""
-        return look_up(self.parametrisation, self.light_maps, omega_i)
-
-    def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
-        """h_k(ω_o)."""
-        return look_up(self.parametrisation, self.view_maps, omega_o)
-
-    @property
-    def per_receiver(self) -> "Factored":
-        """All receivers share the maps."""
-        return Factored(False, False, self.parametrisation)  # pyright: ignore[reportArgumentType]
-
-
-class Symmetric(Reflection):
-    """k maps that serve both sides and a sign for each, so that the sum is reciprocal whatever is left out of it."""
-
-    maps: Float[Array, "k c r r"]
-    signs: Float[Array, "k c"]
-    parametrisation: Parametrisation = DISC
-
-    @property
-    def channels(self) -> int:
-        """Those of the BRDF."""
-        return self.maps.shape[1]
-
-    @property
-    def terms(self) -> int:
-        """k, the number of maps."""
-        return self.maps.shape[0]
-
-    def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
-        """q_k(ω_i)."""
-        return look_up(self.parametrisation, self.maps, omega_i)
-
-    def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
-        """sign_k · q_k(ω_o)."""
-        return self.signs * look_up(self.parametrisation, self.maps, omega_o)
-
-    @property
-    def per_receiver(self) -> "Symmetric":
-        """All receivers share the maps."""
-        return Symmetric(False, False, self.parametrisation)  # pyright: ignore[reportArgumentType]
 
 
 @overload
@@ -248,21 +182,32 @@ def _evaluate(brdf: Brdf, omega, other, channel, swapped: bool):
     return jnp.take(values, channel, axis=-1), same
 
 
-def _svd(samples: _Samples, terms: int) -> Factored:
-    light = np.zeros((terms, samples.channels, samples.side**2))
-    view = np.zeros_like(light)
-    inside = samples.inside
+def _by_channel(samples: _Samples, make: Callable[[int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    """What make(channel) returns, arrays [k, …], for every channel in axis 1; channels alike share it."""
+    found = []
     for c in range(samples.channels):
         first = samples.like(c)
-        if first < c:
-            light[:, c], view[:, c] = light[:, first], view[:, first]
-            continue
-        u, sigma, v = _largest_singular(samples.matrix(c), terms)
+        found.append(found[first] if first < c else make(c))
+    return [np.stack(parts, axis=1) for parts in zip(*found, strict=True)]
+
+
+def _joined(samples: _Samples, inside: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Maps [k, t] from values [·, k] at texels on the hemisphere and off it."""
+    maps = np.zeros((inside.shape[1], samples.side**2))
+    maps[:, samples.inside], maps[:, ~samples.inside] = inside.T, rest.T
+    return maps
+
+
+def _svd(samples: _Samples, terms: int) -> Factored:
+    def make(c: int):
+        u, sigma, v = largest_singular(samples.matrix(c), terms)
         root, over_root = _roots(sigma)
-        light[:, c, inside] = (root * u / samples.light[:, None]).T
-        view[:, c, inside] = (root * v / samples.view[:, None]).T
-        light[:, c, ~inside] = (over_root * samples.times(c, samples.rest, samples.view[:, None] * v)).T
-        view[:, c, ~inside] = (over_root * samples.times(c, samples.rest, samples.light[:, None] * u, swapped=True)).T
+        light_rest = samples.times(c, samples.rest, samples.view[:, None] * v)
+        view_rest = samples.times(c, samples.rest, samples.light[:, None] * u, swapped=True)
+        light = _joined(samples, root * u / samples.light[:, None], over_root * light_rest)
+        return light, _joined(samples, root * v / samples.view[:, None], over_root * view_rest)
+
+    light, view = _by_channel(samples, make)
     return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
 
 
@@ -270,23 +215,17 @@ def _symmetric(samples: _Samples, terms: int) -> Symmetric:
     """M = Q D Qᵀ: √|D| Q on both sides, and the sign of D. The singular values are |D|."""
     if samples.cosine[0] != samples.cosine[1]:
         raise InputError("the symmetric form needs the same power of the cosine on both sides")
-    maps = np.zeros((terms, samples.channels, samples.side**2))
-    signs = np.zeros((terms, samples.channels))
-    inside = samples.inside
-    for c in range(samples.channels):
-        first = samples.like(c)
-        if first < c:
-            maps[:, c], signs[:, c] = maps[:, first], signs[:, first]
-            continue
+
+    def make(c: int):
         matrix = samples.matrix(c)
-        if _asymmetry(matrix) > 1e-3:
+        if asymmetry(matrix) > 1e-3:
             raise InputError("the symmetric form needs a reciprocal BRDF, and this one is not; use the form 'svd'")
-        value, q = _largest_eigen(matrix, terms)
+        value, q = largest_eigen(matrix, terms)
         root, over_root = _roots(np.abs(value))
-        signs[:, c] = np.sign(value)
-        maps[:, c, inside] = (root * q / samples.light[:, None]).T
-        weighted = signs[:, c] * over_root * samples.times(c, samples.rest, samples.light[:, None] * q)
-        maps[:, c, ~inside] = weighted.T
+        rest = np.sign(value) * over_root * samples.times(c, samples.rest, samples.light[:, None] * q)
+        return _joined(samples, root * q / samples.light[:, None], rest), np.sign(value)
+
+    maps, signs = _by_channel(samples, make)
     return Symmetric(samples.maps(maps), jnp.asarray(signs, samples.dtype), samples.parametrisation)
 
 
@@ -308,27 +247,18 @@ def _normalised(samples: _Samples, terms: int) -> Factored:
 
 def _nonnegative(samples: _Samples, terms: int) -> Factored:
     """The weighted matrix as a product of two that are nowhere negative."""
-    light = np.zeros((terms, samples.channels, samples.side**2))
-    view = np.zeros_like(light)
-    inside = samples.inside
-    for c in range(samples.channels):
-        first = samples.like(c)
-        if first < c:
-            light[:, c], view[:, c] = light[:, first], view[:, first]
-            continue
+
+    def make(c: int):
         matrix = samples.matrix(c)
         if matrix.min() < 0:
             raise InputError("the non-negative form needs a BRDF that is nowhere negative; use the form 'svd'")
-        g, h = nonnegative_factors(matrix, *_largest_singular(matrix, terms))
-        light[:, c, inside] = (g / samples.light[:, None]).T
-        view[:, c, inside] = (h / samples.view[:, None]).T
-        for maps, weighted, swapped in (
-            (light, samples.view[:, None] * h, False),
-            (view, samples.light[:, None] * g, True),
-        ):
-            products = samples.times(c, samples.rest, weighted, swapped=swapped)
-            gram = (h.T @ h) if not swapped else (g.T @ g)
-            maps[:, c, ~inside] = nonnegative_rows(products, gram, np.zeros_like(products)).T
+        g, h = nonnegative_factors(matrix, *largest_singular(matrix, terms))
+        light_rest = samples.times(c, samples.rest, samples.view[:, None] * h)
+        view_rest = samples.times(c, samples.rest, samples.light[:, None] * g, swapped=True)
+        light = _joined(samples, g / samples.light[:, None], nonnegative_rows(light_rest, h.T @ h))
+        return light, _joined(samples, h / samples.view[:, None], nonnegative_rows(view_rest, g.T @ g))
+
+    light, view = _by_channel(samples, make)
     return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
 
 
@@ -385,45 +315,3 @@ def _roots(sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     root = np.sqrt(sigma)
     good = sigma > 1e-12 * sigma[0]
     return root, np.where(good, 1 / np.where(good, root, 1), 0)
-
-
-def _asymmetry(matrix: np.ndarray, rows: int = 256) -> float:
-    """Largest |M − Mᵀ| over largest |M|."""
-    starts = range(0, len(matrix), rows)
-    apart = max(np.abs(matrix[s : s + rows] - matrix[:, s : s + rows].T).max() for s in starts)
-    largest = max(np.abs(matrix[s : s + rows]).max() for s in starts)
-    return apart / largest if largest else 0.0
-
-
-def _largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(u [m, k], σ [k] descending, v [n, k]), with signs such that every u sums to no less than 0.
-
-    The eigenvectors of a symmetric matrix are found sooner than singular vectors, and more precisely.
-    """
-    if _asymmetry(matrix) < 1e-5:
-        value, q = _largest_eigen(matrix, terms)
-        return q, np.abs(value), q * np.where(value < 0, -1, 1)
-    if terms > min(matrix.shape) // 4:
-        u, sigma, vt = np.linalg.svd(matrix)
-        u, sigma, vt = u[:, :terms], sigma[:terms], vt[:terms]
-    else:
-        found: Any = scipy.sparse.linalg.svds(matrix, terms, v0=_start(matrix), rng=0)
-        u, sigma, vt = found[0][:, ::-1], found[1][::-1], found[2][::-1]
-    sign = np.where(u.sum(axis=0) < 0, -1, 1)
-    return u * sign, sigma, vt.T * sign
-
-
-def _largest_eigen(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """(eigenvalues [k], vectors [n, k]) by falling magnitude, with signs such that every vector sums to at least 0."""
-    if terms > len(matrix) // 4 or not matrix.any():
-        value, q = scipy.linalg.eigh(matrix)
-    else:
-        value, q = scipy.sparse.linalg.eigsh(matrix, terms, v0=_start(matrix))
-    order = np.argsort(-np.abs(value), kind="stable")[:terms]
-    value, q = value[order], q[:, order]
-    return value, q * np.where(q.sum(axis=0) < 0, -1, 1)
-
-
-def _start(matrix: np.ndarray) -> np.ndarray:
-    """A vector to iterate from: of no symmetry, since iteration would keep it and miss vectors that lack it."""
-    return np.random.default_rng(0).standard_normal(min(matrix.shape)).astype(matrix.dtype)

@@ -42,12 +42,14 @@ def _positive_parts(u: np.ndarray, sigma: np.ndarray, v: np.ndarray) -> tuple[np
     return np.maximum(root * g, floor), np.maximum(root * h, floor)
 
 
-def nonnegative_rows(products: np.ndarray, gram: np.ndarray, start: np.ndarray, sweeps: int = _SWEEPS) -> np.ndarray:
+def nonnegative_rows(
+    products: np.ndarray, gram: np.ndarray, start: np.ndarray | None = None, sweeps: int = _SWEEPS
+) -> np.ndarray:
     """Rows x ≥ 0 of least ‖M − x hᵀ‖ from products M h and gram hᵀh, one column after the other.
 
     A term whose h is 0 stays as it is.
     """
-    x = start.copy()
+    x = np.zeros_like(products) if start is None else start.copy()
     for _ in range(sweeps):
         for k in range(x.shape[1]):
             if gram[k, k] > 0:

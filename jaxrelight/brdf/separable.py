@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import Factored, Symmetric
+from jaxrelight.brdf.factored import Factored, Symmetric
 
 
 class Separable(Brdf):

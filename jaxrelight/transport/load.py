@@ -14,7 +14,7 @@ from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
 from jaxrelight.brdf.spatial import SpatialLobes

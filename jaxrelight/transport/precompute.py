@@ -20,7 +20,8 @@ from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import COSINE, Factored, check_terms, factor
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factors import COSINE, check_terms, factor
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group

@@ -22,6 +22,7 @@ PROGRAMS = (
     "second_render",
     "fit_speed",
     "fit_materials",
+    "fit_sbrdf",
 )
 
 

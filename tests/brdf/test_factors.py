@@ -12,9 +12,11 @@ from jaxrelight.brdf import factors as module
 from jaxrelight.brdf import nonnegative
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factors import COSINE, Factored, Symmetric, factor
+from jaxrelight.brdf.factored import Factored, Symmetric
+from jaxrelight.brdf.factors import COSINE, factor
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.parametrisation import DISC, POLAR
+from jaxrelight.brdf.singular import largest_singular
 from jaxrelight.errors import InputError
 
 SIDE = 8
@@ -411,7 +413,7 @@ def test_the_non_negative_form_finds_a_matrix_that_is_one():
     rng = np.random.default_rng(0)
     g, h = rng.random((2, 40, 3)) ** 4
     matrix = g @ h.T
-    found_g, found_h = nonnegative.nonnegative_factors(matrix, *module._largest_singular(matrix, 3))
+    found_g, found_h = nonnegative.nonnegative_factors(matrix, *largest_singular(matrix, 3))
     assert np.linalg.norm(found_g @ found_h.T - matrix) < 0.01 * np.linalg.norm(matrix)
     np.testing.assert_allclose(np.linalg.norm(found_g, axis=0), np.linalg.norm(found_h, axis=0))
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.lobes import lobe, lobe_sum, phong
 from jaxrelight.brdf.reflection import FixedView, of_group
 

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitting.factors import refined
-from jaxrelight.brdf.factors import Factored, factor
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.parametrisation import DISC
 

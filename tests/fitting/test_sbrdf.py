@@ -11,9 +11,10 @@ from fitting.prediction import lambert_only, predicted, relative_error
 from fitting.sbrdf import fit_sbrdf
 from fitting.sbrdf_levels import coarser
 from fitting.solve import Options, Verdict
-from fitting.stack import Stack, stack_of
+from fitting.stack import Stack, load_stack, stack_of
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.spatial import SpatialLobes
+from tests.shared_data import shared
 
 SIZE = 4
 
@@ -136,3 +137,42 @@ def test_the_lowest_of_some_angles_is_found_between_them():
     found = sbrdf._lowest(angles, residuals)
     difference = (found - truth + np.pi / 4) % (np.pi / 2) - np.pi / 4
     assert np.abs(difference).max() < np.radians(4)
+
+
+def _seen_from_one_place() -> Stack:
+    """Ten lights near the eye, and a tilted surface of no highlight, with noise."""
+    rng = np.random.default_rng(0)
+    index = np.arange(10)
+    lights = np.stack([0.35 * np.cos(2.4 * index), 0.35 * np.sin(2.4 * index), np.full(10, 0.94)], axis=-1)
+    normals = np.broadcast_to([0.6, 0.3, 0.74], (SIZE, SIZE, 3))
+    images = (
+        np.einsum("nx,hwx->nhw", lights, normals / np.linalg.norm(normals, axis=-1, keepdims=True))[..., None] * 0.3
+    )
+    return stack_of(images * (1 + 0.03 * rng.normal(size=(10, SIZE, SIZE, 3))), lights, normals=normals)
+
+
+def test_lobes_that_no_sample_sees_are_not_made_up():
+    """Noise alone can be fitted best by a lobe whose peak lies between all lights, and is as high as one likes."""
+    stack = _seen_from_one_place()
+    around = np.linspace(-0.9, 0.9, 15)
+    x, y = (axis.ravel() for axis in np.meshgrid(around, around))
+    inside = x * x + y * y < 0.9
+    lights = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], axis=-1)[inside]
+    everywhere = stack_of(np.zeros((len(lights), SIZE, SIZE, 3)), lights, normals=stack.normals)
+    largest = predicted(fit_sbrdf(stack).level, everywhere).max()
+    assert largest < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "every"), [("uw_owl", 6), ("diligent_ball", 8)])
+def test_photographs_held_out_are_predicted_better_than_by_lambert(name, every):
+    stack = load_stack(shared("data", "photometric", f"{name}.npz"))
+    few = np.zeros_like(stack.mask)
+    few[::4, ::4] = stack.mask[::4, ::4]
+    stack = dataclasses.replace(stack, mask=few)
+    held = np.arange(len(stack.images)) % every == every - 1
+    seen, unseen = stack.of(~held), stack.of(held)
+    fit = fit_sbrdf(seen)
+    levels = fit.level, lambert_only(seen, fit.level.normals)
+    found, lambert = (relative_error(predicted(level, unseen), unseen) for level in levels)
+    assert found < (0.7 if name == "diligent_ball" else 1) * lambert

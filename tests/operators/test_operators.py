@@ -11,7 +11,7 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxrelight.basis import cubemap
-from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.factored import Factored
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense

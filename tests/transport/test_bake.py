@@ -12,7 +12,8 @@ from jax.test_util import check_grads
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.cubemap import Texels
 from jaxrelight.basis.haar import HaarFaces
-from jaxrelight.brdf.factors import Factored, factor
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.parametrisation import POLAR
 from jaxrelight.brdf.reflection import FixedView, Reflection

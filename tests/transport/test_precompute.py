@@ -21,7 +21,7 @@ import jaxrelight as jr
 from jaxrelight import InputError, Part, Relighter, Scene, Settings, store
 from jaxrelight.basis import latlong
 from jaxrelight.basis.haar import HaarFaces
-from jaxrelight.brdf.factors import Factored
+from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.demo_scene import demo_scene

@@ -120,5 +120,5 @@ def test_files_that_are_none_are_refused(tmp_path):
         load_brdf(tmp_path)
     empty = tmp_path / "empty.binary"
     empty.write_bytes(b"")
-    with pytest.raises(InputError, match="is no BRDF file"):
+    with pytest.raises(InputError, match="is empty"):
         load_brdf(empty)
