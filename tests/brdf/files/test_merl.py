@@ -110,7 +110,7 @@ def test_files_of_another_length_are_refused(tmp_path, size):
     path.write_bytes(np.array(SHAPE, "<i4").tobytes()[:size])
     with path.open("r+b") as stream:
         stream.truncate(size)
-    with pytest.raises(InputError, match=r"is cut short|is too long|is empty"):
+    with pytest.raises(InputError, match=r"is cut short|is too long|is empty|is no BRDF file"):
         load_brdf(path)
 
 
