@@ -60,6 +60,7 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, runs: int):
             *(median(n, lambda run: run[0] - run[1]["total"]) for n in CASES),
         ],
         *([f"… {stage}", *(median(name, lambda run, s=stage: run[1][s]) for name in CASES)] for stage in STAGES),
+        ["second render / the imports below", *(_over([run[0] for run in again[name]], bare) for name in CASES)],
         ["importing jax, equinox, trimesh, embreex alone", *([f"{statistics.median(bare):.2f}"] * len(CASES))],
     ]
     report.table(["seconds", *CASES], rows)
@@ -89,6 +90,11 @@ def imports(folder: pathlib.Path) -> float:
 def _run(command: list[str], folder: pathlib.Path) -> str:
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+def _over(seconds: list[float], others: list[float]) -> str:
+    """The median of the rounds' ratios: a machine that is slow for a while is slow for both."""
+    return f"{statistics.median(a / b for a, b in zip(seconds, others, strict=True)):.2f}"
 
 
 def _range(values: list[float]) -> str:
