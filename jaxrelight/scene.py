@@ -295,7 +295,7 @@ def _material(table: Table, folder: pathlib.Path) -> tuple[Brdf | Material, list
             brdf = ashikhmin_shirley(table.channels("kd"), table.channels("ks"), table.number("nu"), table.number("nv"))
         elif kind == "measured":
             measured = load_brdf(folder / table.text("file"))
-            brdf, read = measured.brdf, list(measured.notes)
+            brdf, read = measured.brdf, [*measured.notes, *measured.energy_notes()]
         elif kind == "fitted":
             brdf = read_fitted(folder / table.text("file"))
             if isinstance(brdf, Separable) and table.has("terms"):

@@ -64,7 +64,7 @@ class Factors:
             check_report(self.report)
         with timed(seconds, "load"):
             measured = load_brdf(self.file)
-        notes(measured.notes)
+        notes([*measured.notes, *measured.energy_notes()])
         steps = 2 if self.refine else 1
         change = None
         with timed(seconds, "fit"), progress(self.json) as report:

@@ -64,7 +64,7 @@ class Lafortune:
         )
         with timed(seconds, "load"):
             measured = load_brdf(self.file)
-        notes(measured.notes)
+        notes([*measured.notes, *measured.energy_notes()])
         with timed(seconds, "fit"), progress(self.json) as report:
             report("fit", 0, 1)
             fit = fit_lafortune(measured.brdf, options, self.weight, self.hold_out)

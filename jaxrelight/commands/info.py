@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Info:
-    """Say what a store, a scene, a mesh or an image is: its size, its settings, its error."""
+    """Say what a store, a scene, a mesh, an image or a measured BRDF is: its size, its settings, its error."""
 
     path: tyro.conf.Positional[pathlib.Path]
-    """A store's folder, a .toml scene, a mesh, or an image."""
+    """A store's folder, a .toml scene, a mesh, an image, or a .binary, .bsdf or .brdf file."""
     json: bool = False
     """Print one JSON object."""
 
@@ -28,6 +28,8 @@ class Info:
             summary = _store(self.path)
         elif self.path.suffix.lower() in (".toml", ".ply", ".obj", ".stl", ".glb", ".gltf"):
             summary = _scene(self.path)
+        elif self.path.suffix.lower() in (".binary", ".bsdf", ".brdf"):
+            summary = _brdf(self.path)
         else:
             summary = _image(self.path)
         summarize({"command": "info", **summary}, self.json)
@@ -97,6 +99,21 @@ def _kind(material: "Material") -> str:
     """A material in a word or two."""
     kind = "diffuse" if all(component.brdf.is_constant for component in material.components) else "glossy"
     return f"{kind}, textured" if material.needs_uv else kind
+
+
+def _brdf(path: pathlib.Path) -> dict:
+    from jaxrelight.brdf.files import load_brdf
+    from jaxrelight.commands.progress import notes
+
+    measured = load_brdf(path)
+    notes([*measured.notes, *measured.energy_notes()])
+    return {
+        "kind": "brdf",
+        "brdf": str(path),
+        "format": measured.kind,
+        "channels": measured.brdf.channels,
+        "albedo_at_degrees": {str(degrees): share for degrees, share in measured.albedos().items()},
+    }
 
 
 def _image(path: pathlib.Path) -> dict:

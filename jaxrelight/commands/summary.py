@@ -31,7 +31,8 @@ info says `kind` first. A store: scene, rows (of the operator), materials {name:
 deleted), largest_error_for_unit_light (of any row, under light of root-mean-square radiance 1). A scene: scene (file),
 meshes {number:name: {vertices, faces, material}}, vertices, materials {name: diffuse or glossy}, camera {width, height,
 fov_y}, environment {width, height} or null. An image: image (file), width, height, channels, largest and mean (of the
-finite pixels; mean by channel), negative_pixels, not_finite_pixels.
+finite pixels; mean by channel), negative_pixels, not_finite_pixels. A measured BRDF: brdf (file), format, channels,
+albedo_at_degrees {angle from the normal: share of the light that is reflected, of the brightest channel}.
 """
 
 import json
@@ -39,7 +40,7 @@ import shutil
 import sys
 import textwrap
 
-_SHARES = "kept_energy", "covered", "error", "residual", "held_out", "by_angle", "refined"
+_SHARES = "kept_energy", "albedo_at_degrees", "covered", "error", "residual", "held_out", "by_angle", "refined"
 
 
 def summarize(summary: dict, as_json: bool) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from jaxrelight import Settings, cli, read_image, store, write_image
 from jaxrelight.transport import precompute as stages
+from tests.brdf.files import writers
 from tests.commands.running import DIALS, SCENE, refusal_of, summary_of
 
 COMMANDS = "demo", "render", "precompute", "relight", "info"
@@ -357,6 +358,16 @@ def test_info_on_an_image(folder, run):
     assert (summary["width"], summary["height"], summary["channels"]) == (6, 4, 3)
     assert (summary["largest"], summary["negative_pixels"], summary["not_finite_pixels"]) == (3, 1, 1)
     np.testing.assert_allclose(summary["mean"], [(22 * 0.5 - 1) / 23, (22 * 0.5 + 3) / 23, 0.5])
+
+
+def test_info_on_a_measured_brdf(folder, run):
+    pathlib.Path("paint.bsdf").write_bytes(writers.rgl())
+    summary = summary_of(run("info", "paint.bsdf", "--json"))
+    assert (summary["kind"], summary["format"], summary["channels"]) == ("brdf", "RGL", 3)
+    assert [*summary["albedo_at_degrees"]] == ["0", "30", "60", "80"]
+    _, out, err = run("info", "paint.bsdf")
+    assert f"0 {100 * summary['albedo_at_degrees']['0']:.4g} %" in out
+    assert "times the light is reflected at" in err
 
 
 def test_damaged_store_is_one_line(folder, run, made):

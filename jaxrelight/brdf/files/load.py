@@ -1,13 +1,22 @@
 """A BRDF from a file of any of the formats."""
 
 import dataclasses
+import math
 import pathlib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.cornell import is_cornell, read_cornell
 from jaxrelight.brdf.files.merl import SHAPE, read_merl
 from jaxrelight.brdf.files.rgl import MAGIC, read_rgl
+from jaxrelight.brdf.sampling import directional_albedo
+
+# Where albedos are looked at: beyond it measurements are rare, and those there are extrapolate.
+_DEGREES = 0, 30, 60, 80
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,6 +32,16 @@ class BrdfFile:
     brdf: Brdf
     kind: str
     notes: tuple[str, ...]
+
+    def albedos(self) -> dict[int, float]:
+        """Share of the light that is reflected, by its angle from the normal in degrees; of the brightest channel."""
+        found = _albedos(self.brdf, jnp.asarray([_at(degrees) for degrees in _DEGREES], jnp.float32))
+        return dict(zip(_DEGREES, np.max(found, axis=-1).tolist(), strict=True))
+
+    def energy_notes(self) -> list[str]:
+        """A line if more is reflected than comes, which measurements at grazing angles may say."""
+        degrees, most = max(self.albedos().items(), key=lambda item: item[1])
+        return [f"as measured, {most:.3g} times the light is reflected at {degrees}° from the normal"] * (most > 1.01)
 
 
 def load_brdf(path: str | pathlib.Path) -> BrdfFile:
@@ -46,6 +65,15 @@ def load_brdf(path: str | pathlib.Path) -> BrdfFile:
     else:
         raise content.fault("is no BRDF file", "use a MERL .binary, RGL .bsdf or Cornell .brdf file")
     return BrdfFile(brdf, kind, tuple(notes))
+
+
+def _at(degrees: float) -> tuple[float, float, float]:
+    return math.sin(math.radians(degrees)), 0.0, math.cos(math.radians(degrees))
+
+
+@jax.jit
+def _albedos(brdf: Brdf, omega_o):
+    return jax.lax.map(lambda omega: directional_albedo(brdf, omega, 128, 256), omega_o)
 
 
 def _is_merl(content: Content) -> bool:
