@@ -55,5 +55,7 @@ def run_command(prog: str, description: str, commands: Sequence[type], smaller: 
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt as stop:
         done = "".join(f" at {note}" for note in getattr(stop, "__notes__", ()))
-        print(f"{prog}: stopped{done}; what is done is kept, run the same command to go on", file=sys.stderr)
+        # A command says by `keeps` if it has nothing to go on from.
+        kept = "what is done is kept, run the same command to go on" if getattr(command, "keeps", True) else ""
+        print(f"{prog}: stopped{done}; {kept or 'nothing is written yet, run the same command again'}", file=sys.stderr)
         sys.exit(130)

@@ -3,7 +3,7 @@
 import dataclasses
 import pathlib
 import time
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -14,6 +14,8 @@ class Factors:
 
     A scene uses what is written as [material.NAME] with type = "fitted" and file = "FACTORS.npz".
     """
+
+    keeps: ClassVar[bool] = False
 
     file: tyro.conf.Positional[pathlib.Path]
     """A MERL .binary, RGL .bsdf or Cornell .brdf file."""

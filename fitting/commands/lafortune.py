@@ -3,7 +3,7 @@
 import dataclasses
 import pathlib
 import time
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -18,6 +18,8 @@ class Lafortune:
 
     A scene uses what is written as [material.NAME] with type = "fitted" and file = "NAME.toml".
     """
+
+    keeps: ClassVar[bool] = False
 
     file: tyro.conf.Positional[pathlib.Path]
     """A MERL .binary, RGL .bsdf or Cornell .brdf file."""

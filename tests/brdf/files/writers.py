@@ -39,9 +39,10 @@ def rgl_fields(azimuths: int = 1, seed: int = 0, size: int = 6) -> dict[str, np.
     return {name: array.astype(np.float32) for name, array in fields.items()} | described
 
 
-def rgl(azimuths: int = 1, seed: int = 0, size: int = 6) -> bytes:
-    """A whole file of `rgl_fields`."""
-    return tensor_file(rgl_fields(azimuths, seed, size))
+def rgl(azimuths: int = 1, seed: int = 0, size: int = 6, scale: float = 1) -> bytes:
+    """A whole file of `rgl_fields`, its reflectance scaled; without, it reflects more light than it gets."""
+    fields = rgl_fields(azimuths, seed, size)
+    return tensor_file({**fields, "rgb": fields["rgb"] * np.float32(scale)})
 
 
 def merl(values: np.ndarray, dimensions: tuple[int, int, int] = (90, 90, 180)) -> bytes:

@@ -16,7 +16,7 @@ def folder(tmp_path, monkeypatch) -> pathlib.Path:
     """Where commands run: a measured material and a stack of images."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "paint.bsdf").write_bytes(writers.rgl())
+    (tmp_path / "paint.bsdf").write_bytes(writers.rgl(scale=0.5))
     images, lights, normals = bump()
     np.savez(tmp_path / "bump.npz", images=images, light_directions=lights, normals=normals)
     return tmp_path

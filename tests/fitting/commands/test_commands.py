@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fitting.commands
-from fitting import sbrdf, sbrdf_levels
+from fitting import lafortune, sbrdf, sbrdf_levels
 from jaxrelight import read_image, write_image
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.fitted import read_fitted
@@ -52,7 +52,7 @@ def test_lafortune_writes_a_material_and_says_how_good_it_is(folder, run):
 
 
 def test_lafortune_in_words_and_with_every_choice(folder, run):
-    (folder / "paint.bsdf").write_bytes(writers.rgl(azimuths=5))
+    (folder / "paint.bsdf").write_bytes(writers.rgl(azimuths=5, scale=0.5))
     dials = "--weight", "cosine", "--anisotropic", "--per-channel", "--hold-out", "0"
     status, out, err = run("lafortune", "paint.bsdf", "-o", "paint.toml", *ONE, *dials)
     assert (status, err) == (0, "")
@@ -151,6 +151,17 @@ def test_bad_input_is_one_line(folder, run, arguments: str, what: str):
     before = sorted(folder.iterdir())
     assert what in refusal(run(*arguments.split()))
     assert sorted(folder.iterdir()) == before
+
+
+def test_a_stop_says_that_nothing_is_kept(folder, run, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(lafortune, "fit_lafortune", interrupt)
+    status, out, err = run("lafortune", "paint.bsdf", "-o", "paint.toml", *ONE)
+    assert (status, out) == (130, "")
+    assert err.splitlines()[-1].startswith("jaxrelight-fit: stopped at 0 % of fit; nothing is written yet")
+    assert not (folder / "paint.toml").exists()
 
 
 def test_no_other_file_is_harmed_by_a_damaged_one(folder, run):
