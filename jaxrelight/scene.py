@@ -21,6 +21,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
+from jaxrelight.lights.local import Light, directional, point, spot
 from jaxrelight.scene_materials import from_file, made_light, read_texture, weighted
 from jaxrelight.toml_table import Table, read_toml
 
@@ -49,6 +50,7 @@ class Scene:
         name: what messages call it.
         assumptions: what was approximated, or taken because nothing else was said, one line each.
         terms: factors of a material, by its name, where it is to have another number than the settings say.
+        lights: point, spot and directional ones; transport has none of them.
     """
 
     parts: Sequence[Part]
@@ -58,12 +60,25 @@ class Scene:
     name: str = "scene"
     terms: Mapping[str, int] = dataclasses.field(default_factory=dict)
     assumptions: Sequence[str] = ()
+    lights: Sequence[Light] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was mended and assumed while the scene was read, one line each."""
         lines = [f"{part.name}: {note}" for part in self.parts for note in part.mesh.notes]
         return (*lines, *self.assumptions, *(self.environment.notes if self.environment else ()))
+
+    def check_distant(self):
+        """Refuses local lights, which precomputed transport has not.
+
+        Raises:
+            InputError: if there are any.
+        """
+        if self.lights:
+            raise InputError(
+                f"{self.name}: transport is of distant light only, and the scene has [[light]]; render it with "
+                "--lighting prefiltered, or remove them"
+            )
 
 
 def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Scene:
@@ -74,12 +89,11 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     """
     path = pathlib.Path(path)
     root = read_toml(path, "a scene")
-    if root.has("light"):
-        raise InputError(f"{path}: [[light]] is not supported yet; remove the lights and give an [environment]")
     camera = _camera(root.table("camera"))
     environment = (
         _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
     )
+    lights = tuple(_light(table) for table in root.tables("light"))
     named = root.table("material", {})  # mesh files may bring all that is needed
     tables = {name: named.table(name) for name in named.names()}
     terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
@@ -106,7 +120,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     root.finish()
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]; add one")
-    return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions))
+    return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions), lights)
 
 
 def _camera(table: Table) -> Camera:
@@ -133,6 +147,30 @@ def _environment(table: Table, folder: pathlib.Path, zero_nonfinite: bool) -> En
         return load_environment(folder / file, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite)
     except InputError as error:
         raise table.within(error) from None
+
+
+def _light(table: Table) -> Light:
+    kind = table.text("type")
+    try:
+        if kind == "point":
+            light = point(table.array("position", (3,)), table.not_negative("intensity"))
+        elif kind == "spot":
+            cutoff = table.number("cutoff")
+            light = spot(
+                table.array("position", (3,)),
+                table.array("target", (3,)),
+                table.not_negative("intensity"),
+                cutoff,
+                table.number("beam", 0.75 * cutoff),
+            )
+        elif kind == "directional":
+            light = directional(table.array("direction", (3,)), table.not_negative("irradiance"))
+        else:
+            raise InputError(f"type '{kind}' is not known; known are point, spot, directional")
+    except InputError as error:
+        raise table.within(error) from None
+    table.finish()
+    return light
 
 
 def _parts(

@@ -184,12 +184,28 @@ def test_reference_scene_loads(name: str):
     assert scene.materials["object"].is_constant == (name == "bunny_lambert")
 
 
-@pytest.mark.parametrize("name", ["room_point", "room_spot", "room_glossy"])
-def test_local_lights_are_refused(name: str):
-    path = shared("reference", f"{name}.toml")
-    with pytest.raises(InputError, match=re.escape(f"{path}: [[light]] is not supported yet")) as caught:
-        load_scene(path)
-    assert len(str(caught.value).splitlines()) == 1
+def test_local_lights_are_read():
+    point, spot = (load_scene(shared("reference", f"room_{name}.toml")).lights[0] for name in ("point", "spot"))
+    np.testing.assert_allclose(spot.target, [-0.9, 0.2, -0.6], rtol=1e-6)
+    assert (spot.cutoff, spot.beam) == (25, 18)
+    assert point.position.shape == point.intensity.shape == (3,)
+
+
+LIGHT = '[[light]]\ntype = "point"\nposition = [0, 1, 0]\nintensity = 2\n[[mesh]]'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ('"point"', '"lamp"', "[[light]] number 1: type 'lamp' is not known; known are point, spot, directional"),
+        ("intensity = 2", "intensity = -2", "'intensity' must not be negative"),
+        ("position = [0, 1, 0]", "position = [0, 1]", "'position' must be 3 numbers"),
+        ("position", "postion", "'postion' is not known; did you mean 'position'?"),
+        ("intensity", "beam = 3\nintensity", "'beam' is not known"),
+    ],
+)
+def test_lights_that_are_none_are_refused(folder, old: str, new: str, what: str):
+    assert what in _refusal(folder, _changed(SMALL, "[[mesh]]", LIGHT.replace(old, new)))
 
 
 # A key, in the table it belongs to, and how it may be misspelt where it need not be there.
@@ -304,16 +320,6 @@ def test_scene_without_mesh(folder):
 def test_scene_without_camera(folder):
     assert "[material" not in _refusal(folder, "")
     assert "'camera' is missing" in _refusal(folder, "")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "what"),
-    [
-        ("[[mesh]]", '[[light]]\ntype = "point"\n[[mesh]]', "[[light]] is not supported yet"),
-    ],
-)
-def test_what_is_not_supported_is_refused(folder, old: str, new: str, what: str):
-    assert what in _refusal(folder, _changed(SMALL, old, new))
 
 
 @pytest.mark.parametrize("text", ["camera = = 1", "[camera", 'a = "b', "[camera]\n[camera]\n", "\x00"])

@@ -5,6 +5,7 @@ of the map, so resampling weighs every pixel by the solid angle it shares with a
 """
 
 import functools
+from typing import overload
 
 import equinox as eqx
 import jax
@@ -51,14 +52,28 @@ def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Ar
     return (1 - part) * jnp.roll(pixels, -whole, axis=1) + part * jnp.roll(pixels, -whole - 1, axis=1)
 
 
-def resized(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "{height} {width} c"]:
-    """The map with another number of rows and columns: every new pixel is the mean over its solid angle."""
+@overload
+def resized(pixels: np.ndarray, height: int, width: int) -> np.ndarray: ...
+@overload
+def resized(pixels: Array, height: int, width: int) -> Array: ...
+def resized(
+    pixels: Float[Array | np.ndarray, "h w c"], height: int, width: int
+) -> Float[Array | np.ndarray, "{height} {width} c"]:
+    """The map with another number of rows and columns: every new pixel is the mean over its solid angle.
+
+    Of NumPy's arrays makes NumPy's, of JAX's, JAX's, and is differentiable.
+    """
     old_height, old_width, channels = pixels.shape
-    edges = [-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)]
-    by_row = _means(*edges).astype(pixels.dtype) @ pixels.reshape(old_height, -1)
-    by_column = by_row.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
-    edges = [np.linspace(0, 1, count + 1) for count in (width, old_width)]
-    found = _means(*edges).astype(pixels.dtype) @ by_column
+    if (height, width) == (old_height, old_width):
+        return pixels
+    by_row = _means(*(-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)))
+    by_column = _means(*(np.linspace(0, 1, count + 1) for count in (width, old_width)))
+    if isinstance(pixels, jax.Array):
+        matrices = (jnp.asarray(side.toarray(), pixels.dtype) for side in (by_row, by_column))
+        return jnp.einsum("ih,hwc,jw->ijc", next(matrices), pixels, next(matrices), precision="highest")
+    found = by_row.astype(pixels.dtype) @ pixels.reshape(old_height, -1)
+    found = found.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
+    found = by_column.astype(pixels.dtype) @ found
     return np.ascontiguousarray(found.reshape(width, height, channels).swapaxes(0, 1))
 
 

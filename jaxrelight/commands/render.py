@@ -3,11 +3,14 @@
 import dataclasses
 import pathlib
 import time
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
 from jaxrelight.commands.options import LightOptions, Output, PictureOptions, PrecomputeOptions, ViewOptions
+
+if TYPE_CHECKING:
+    from jaxrelight.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,8 +25,11 @@ class Render:
     """'pixels' are exact for this camera; 'vertices' can be viewed from anywhere afterwards."""
     store: pathlib.Path | None = None
     """The store's folder; by default one in the user's cache folder."""
-    lighting: Literal["transport"] = "transport"
-    """How light becomes radiance: by precomputed transport."""
+    lighting: Literal["transport", "prefiltered"] = "transport"
+    """How light becomes radiance. 'transport' is precomputed, with shadows, for distant light. 'prefiltered' is quick,
+    knows local lights too, and its environment casts no shadows; materials must be sums of lobes."""
+    shadows: bool = True
+    """Let local lights cast shadows."""
     dials: tyro.conf.OmitArgPrefixes[PrecomputeOptions] = PrecomputeOptions()
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
@@ -38,6 +44,7 @@ class Render:
         from jaxrelight.commands.progress import notes, progress
         from jaxrelight.commands.relight import describe, light_picture, timed
         from jaxrelight.commands.summary import summarize
+        from jaxrelight.errors import InputError
         from jaxrelight.images import check_writable
         from jaxrelight.lighting.transport import Relighter
         from jaxrelight.mesh_scene import open_scene
@@ -45,13 +52,20 @@ class Render:
         from jaxrelight.transport.precompute import precompute
 
         check_writable(self.output)
+        if self.lighting == "transport" and not self.shadows:
+            raise InputError("--no-shadows is a dial of --lighting prefiltered; leave it out")
         seconds = {}
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
-            # Found now rather than after a minute of rays.
-            environment = self.light.environment(scene.environment)
             scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
-            notes(dict.fromkeys((*scene.notes, *environment.notes)))
+            if self.lighting == "transport":
+                # Found now rather than after a minute of rays.
+                scene.check_distant()
+                environment = self.light.environment(scene.environment)
+                notes(dict.fromkeys((*scene.notes, *environment.notes)))
+        if self.lighting == "prefiltered":
+            self._prefiltered(scene, seconds, start)
+            return
         with progress(self.json) as report:
             made = precompute(scene, self.dials.settings(self.receivers), self.store, report)
         notes(made.notes)
@@ -63,3 +77,19 @@ class Render:
         seconds |= {**picture.pop("seconds"), "total": time.perf_counter() - start}
         summary = {"command": "render", **as_made(made), **picture, **describe(transport), "seconds": seconds}
         summarize(summary, self.json)
+
+    def _prefiltered(self, scene: "Scene", seconds: dict, start: float):
+        from jaxrelight.commands.prefiltered import prefiltered_picture
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.commands.summary import summarize
+        from jaxrelight.errors import InputError
+
+        dials = {"store": (self.store, None), "receivers": (self.receivers, "pixels")}
+        dials |= {name: (given, getattr(PrecomputeOptions(), name)) for name, given in vars(self.dials).items()}
+        for name, (given, default) in dials.items():
+            if given != default:
+                raise InputError(f"--{name.replace('_', '-')} is a dial of --lighting transport; leave it out")
+        notes(dict.fromkeys(scene.notes))
+        picture = prefiltered_picture(scene, self.light, self.output, self.picture, self.shadows, seconds)
+        seconds["total"] = time.perf_counter() - start
+        summarize({"command": "render", "lighting": "prefiltered", **picture, "seconds": seconds}, self.json)

@@ -24,6 +24,9 @@ A picture (render, relight; demo: picture alone):
     covered          share of pixels that see a surface, 0 … 1
     mean_radiance    of those, all channels
 
+render --lighting prefiltered: lighting, lights (how many), maps_bytes (of the prefiltered environment); seconds has
+view, prefilter, environment and lights.
+
 demo: milliseconds {change_of_view, change_of_light, shading}; error {coefficients, without_worst_5_percent}: relative
 L2 against all coefficients.
 

@@ -31,6 +31,13 @@ class Tracer:
         """
         return self._query(origins, directions, "OCCLUDED") == 0
 
+    def blocked(
+        self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"], distance: Float[np.ndarray, " r"]
+    ) -> Bool[np.ndarray, " r"]:
+        """Whether anything is hit along each ray before a distance in scene space. Lift origins by `OFFSET` first."""
+        near = np.ascontiguousarray(np.clip(distance, 0, 1e30), np.float32)
+        return self._query(origins, directions, "OCCLUDED", dists=near) == 0
+
     def first_hits(
         self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]
     ) -> tuple[Int[np.ndarray, " r"], Float[np.ndarray, "r 3"]]:

@@ -88,6 +88,7 @@ def precompute(
     """
     seconds: dict[str, float] = {}
     with _timed(seconds, "geometry"):
+        scene.check_distant()
         for part in scene.parts:
             if part.material not in scene.materials:
                 raise InputError(f"{scene.name}: '{part.name}' is of a material '{part.material}' that is not given")

@@ -13,7 +13,8 @@ from tests.benchmarks.pictures import contact_sheet
 TERMS = 1, 2, 4, 8, 16
 LIGHT_DIRECTION, LIGHT_COLOUR = (0.4, 0.7, 0.6), (1.0, 0.85, 0.6)
 # Powers of the cosines of light and view in the error that the factors minimise.
-COSINES = (0, 0), (0.25, 0.25), (0.5, 0.5), (0, 0.25), (0, 0.5), (0.5, 0), (1, 0)
+COSINES = (0, 0), (0.25, 0.25), (0.5, 0.5), (0.5, 1), (1, 1), (0, 0.5), (0.5, 0), (1, 0)
+MEASURED = "rgl_cc_ibiza_sunset_rgb.bsdf", "cornell_garnet_red.brdf"
 ROTATIONS = 0, 130
 # §5: the paper's anisotropic BRDF.
 ANISOTROPIC = {"kd": 0.5, "ks": 0.75, "nu": 10, "nv": 100}
@@ -131,7 +132,7 @@ def environment_light(report: Report, scene, folder: pathlib.Path, resolution: i
 
 
 def many_lights(report: Report, folder: pathlib.Path, quick: bool):
-    """Which powers of the cosine to factor with: four BRDFs on the bunny, under every environment there is."""
+    """Which powers of the cosine to factor with: BRDFs, analytic and measured, on the bunny under every environment."""
     from jaxrelight import (
         Camera,
         Part,
@@ -141,6 +142,7 @@ def many_lights(report: Report, folder: pathlib.Path, quick: bool):
         exact,
         factor,
         image_error,
+        load_brdf,
         load_environment,
         load_mesh,
         precompute,
@@ -151,6 +153,7 @@ def many_lights(report: Report, folder: pathlib.Path, quick: bool):
     from tests.benchmarks.factor_error import brdfs
 
     materials = brdfs(shared("data", "published", "lafortune_published.json"))
+    materials |= {name.split(".")[0]: load_brdf(shared("data", "brdf", name)).brdf for name in MEASURED}
     files = sorted(shared("data", "env").iterdir())[: 2 if quick else None]
     lights = [load_environment(file, rotate_y) for file in files for rotate_y in ROTATIONS]
     size, resolution = (16, 8) if quick else (72, 32)
@@ -179,7 +182,7 @@ def many_lights(report: Report, folder: pathlib.Path, quick: bool):
     report.text(
         f"**Cosines in the factorisation**: the bunny alone, pixel receivers, {size}×{size}, resolution {resolution}, "
         f"all coefficients; against the BRDF itself, trimmed / untrimmed, means over {len(files)} environments at "
-        f"rotations of {' and '.join(map(str, ROTATIONS))} degrees. The default is (0.25, 0.25)."
+        f"rotations of {' and '.join(map(str, ROTATIONS))} degrees. The default is (0.5, 0.5)."
     )
     heads = [f"{name}, K = {k}" for name in materials for k in (4, max(TERMS))]
     report.table(["powers of light, view", *heads], [[str(powers), *cells] for powers, cells in tables.items()])

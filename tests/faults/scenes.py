@@ -128,6 +128,7 @@ def _camera() -> dict[str, Fault]:
 
 def _environment() -> dict[str, Fault]:
     file, scale = 'file = "sky.exr"', "scale = 1"
+    lamp = '[[light]]\ntype = "point"\nposition = [0, 1, 0]\nintensity = 1\n'
     table = SCENE[SCENE.index("[environment]") : SCENE.index("[material.paper]")]
     return {
         "no environment": _fault(table, "", "the scene has no environment; name one with --env MAP"),
@@ -150,7 +151,9 @@ def _environment() -> dict[str, Fault]:
         "scale negative": _fault(scale, "scale = -1", "[environment]", "scale finite and not negative"),
         "scale nan": _fault(scale, "scale = nan", "'scale' must be finite"),
         "scale misspelt": _fault(scale, "sacle = 1", "'sacle' is not known; did you mean 'scale'?"),
-        "lights": _fault("[environment]", '[[light]]\ntype = "point"\n[environment]', "[[light]] is not supported"),
+        "lights": _fault("[environment]", '[[light]]\ntype = "point"\n[environment]', "'position' is missing"),
+        "lights with transport": _fault("[environment]", f"{lamp}[environment]", "transport is of distant light only"),
+        "light of another kind": _fault("[environment]", f"{lamp}[environment]".replace("point", "lamp"), "'lamp'"),
     }
 
 

@@ -1,5 +1,6 @@
 """What a measured BRDF says of itself, whatever its format."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -27,7 +28,7 @@ def test_albedos_are_the_integrals_over_the_light():
     for brdf in (lambert([0.3, 0.5, 0.2]), phong([0.1] * 3, [0.2, 0.3, 0.1], 8)):
         for degrees, albedo in BrdfFile(brdf, "RGL", ()).albedos().items():
             angle = np.radians(degrees)
-            omega_o = np.array([np.sin(angle), 0, np.cos(angle)], np.float32)
+            omega_o = jnp.asarray([np.sin(angle), 0, np.cos(angle)], jnp.float32)
             assert albedo == pytest.approx(float(directional_albedo(brdf, omega_o).max()), rel=1e-3)
 
 

@@ -1,0 +1,62 @@
+"""What `render --lighting prefiltered` does: a picture without a store."""
+
+import pathlib
+from typing import TYPE_CHECKING
+
+from jaxrelight.commands.options import LightOptions, PictureOptions
+
+if TYPE_CHECKING:
+    from jaxrelight.scene import Scene
+
+
+def prefiltered_picture(
+    scene: "Scene", light: LightOptions, output: pathlib.Path, picture: PictureOptions, shadows: bool, seconds: dict
+) -> dict:
+    """Lights a scene by its prefiltered environment and its local lights, writes the picture and says what it took.
+
+    Raises:
+        InputError: for a scene without any light, or as `Seen.under` does.
+    """
+    import jax
+    import numpy as np
+
+    from jaxrelight.commands.progress import notes
+    from jaxrelight.commands.relight import timed
+    from jaxrelight.commands.summary import versions
+    from jaxrelight.images import write_image
+    from jaxrelight.lighting.prefiltered import look_at
+    from jaxrelight.lights.prefiltered import prefilter
+
+    # Lights are enough.
+    asked = light != LightOptions()
+    environment = light.environment(scene.environment) if scene.environment or asked or not scene.lights else None
+    if environment is not None:
+        notes(dict.fromkeys(environment.notes))
+        notes(["prefiltered: the environment casts no shadows, and surfaces do not light each other"])
+    with timed(seconds, "view"):
+        seen = look_at(scene)
+    image = np.zeros((*seen.covered.shape, 3), np.float32)
+    maps_bytes = 0
+    if environment is not None:
+        with timed(seconds, "prefilter"):
+            maps = jax.block_until_ready(prefilter(environment.pixels))
+            maps_bytes = maps.texels.nbytes
+        with timed(seconds, "environment"):
+            image = image + np.asarray(seen.under(maps, environment.rotate_y, environment.scale))
+    with timed(seconds, "lights"):
+        image = image + np.asarray(seen.lit_by(scene.lights, shadows))
+    if environment is not None and picture.background == "environment":
+        image = np.where(seen.covered[..., None], image, np.asarray(seen.background(environment)))
+    image = np.concatenate([image, seen.covered[..., None]], axis=-1, dtype=np.float32)
+    with timed(seconds, "write"):
+        write_image(output, image, picture.exposure)
+    return {
+        "picture": str(output),
+        "width": scene.camera.width,
+        "height": scene.camera.height,
+        "covered": float(seen.covered.mean()),
+        "mean_radiance": float(image[seen.covered][:, :3].mean()) if seen.covered.any() else 0.0,
+        "lights": len(scene.lights),
+        "maps_bytes": maps_bytes,
+        "versions": versions(),
+    }

@@ -1,0 +1,254 @@
+"""Lighting without transport: prefiltered environments, and local lights with shadow rays (McAllister 2002 §4, §6).
+
+Nothing is precomputed for a mesh, and every texel may have a BRDF of its own. What is left out: the environment casts
+no shadows, and surfaces do not light each other.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrelight import safe
+from jaxrelight.basis import latlong
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.horizon import cut
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import Component, as_material
+from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.texture import look_up
+from jaxrelight.buckets import bucket
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.geometry.surfaces import join
+from jaxrelight.geometry.tracer import OFFSET, Tracer
+from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.local import Incident, Light
+from jaxrelight.lights.prefiltered import Prefiltered
+from jaxrelight.scene import Scene
+from jaxrelight.transport.normal_maps import see
+
+# Pixels shaded at a time: what is read and made for them fits a processor's cache.
+_TOGETHER = 4096
+# How the cosine and the horizon come in: by a lobe that stands for the product, or outside the integral (eq. 11).
+Horizon = Literal["cut", "outside"]
+
+
+class SurfacePixels(eqx.Module):
+    """Pixels that see one material, padded to one of few lengths.
+
+    Attributes:
+        pixel: place in the flattened image; past its end for padding.
+        frame: rows tangent, binormal, normal.
+        omega_o: local direction to the eye.
+        uv: texture coordinates.
+        position: in the world.
+    """
+
+    pixel: Int[Array, " p"]
+    frame: Float[Array, "p 3 3"]
+    omega_o: Float[Array, "p 3"]
+    uv: Float[Array, "p 2"]
+    position: Float[Array, "p 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenMaterial:
+    """A material, and the pixels that see it; `rays` are origins in scene space of rays from them, without padding."""
+
+    name: str
+    components: tuple[Component, ...]
+    pixels: SurfacePixels
+    rays: Float[np.ndarray, "r 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Seen:
+    """What a camera sees of a scene, ready to be lit again and again.
+
+    Attributes:
+        materials: those that are seen.
+        covered: which pixels show a surface.
+        directions: unit world direction of every pixel.
+        radius: length of scene space's unit in the world.
+        tracer: for rays to the lights.
+    """
+
+    materials: tuple[SeenMaterial, ...]
+    covered: Bool[np.ndarray, "h w"]
+    directions: Float[np.ndarray, "h w 3"]
+    radius: float
+    tracer: Tracer
+
+    def under(
+        self,
+        maps: Prefiltered,
+        rotate_y: float | Float[Array, ""] = 0.0,
+        scale: float | Float[Array, ""] = 1.0,
+        horizon: Horizon = "cut",
+    ) -> Float[Array, "h w 3"]:
+        """Radiance under a prefiltered environment, without shadows; differentiable in the maps and in BRDFs.
+
+        Args:
+            maps: of the environment's pixels.
+            rotate_y: degrees that it is turned about +y, as `Environment`.
+            scale: factor on its radiance.
+            horizon: "cut" lets each lobe's cosine and horizon move and sharpen it; "outside" multiplies by the cosine
+                of its peak (eq. 11), which counts light from below the surface.
+
+        Raises:
+            InputError: for a BRDF that is no sum of lobes.
+        """
+        image = self._black()
+        for part in self.materials:
+            for component in part.components:
+                if not isinstance(component.brdf, LobeSum | SpatialLobes):
+                    raise InputError(
+                        f"[material.{part.name}]: prefiltered environments are for sums of lobes; fit lobes to it with "
+                        "'jaxrelight-fit lafortune', or use --lighting transport"
+                    )
+                found = _under(component.brdf, component.weight, part.pixels, maps, jnp.radians(rotate_y), horizon)
+                image = image.at[part.pixels.pixel].add(scale * found, mode="drop")
+        return image.reshape(*self.covered.shape, 3)
+
+    def lit_by(self, lights: Sequence[Light], shadows: bool = True) -> Float[Array, "h w 3"]:
+        """Radiance under local lights, of any BRDF; differentiable in lights and BRDFs while shadows stand still."""
+        image = self._black()
+        for light in lights:
+            for part in self.materials:
+                incident = light.at(part.pixels.position)
+                visible = self._visible(part, incident) if shadows else jnp.ones_like(incident.distance)
+                for component in part.components:
+                    found = _lit(component.brdf, component.weight, part.pixels, incident, visible)
+                    image = image.at[part.pixels.pixel].add(found, mode="drop")
+        return image.reshape(*self.covered.shape, 3)
+
+    def background(self, environment: Environment) -> Float[Array, "h w 3"]:
+        """The environment in every pixel's direction."""
+        u, v = latlong.coordinates(self.directions)
+        u, v = jnp.asarray(u + environment.rotate_y / 360, jnp.float32), jnp.asarray(v, jnp.float32)
+        found = latlong.look_up(jnp.asarray(environment.pixels), u, v)
+        return found * environment.scale
+
+    def _black(self) -> Float[Array, "p 3"]:
+        return jnp.zeros((self.covered.size, 3))
+
+    def _visible(self, part: SeenMaterial, incident: Incident) -> Float[Array, " p"]:
+        """1 where nothing stands between a pixel's point and the light."""
+
+        def trace(omega_i, distance):
+            count = len(part.rays)
+            reached = np.zeros(len(distance), np.float32)
+            # Not as far as the light, so that a lamp's own surface does not hide it.
+            near = distance[:count] / self.radius - 2 * OFFSET
+            reached[:count] = ~self.tracer.blocked(part.rays, omega_i[:count], near)
+            return reached
+
+        shape = jax.ShapeDtypeStruct(incident.distance.shape, np.float32)
+        given = jax.lax.stop_gradient((incident.omega_i, incident.distance))
+        return jax.pure_callback(trace, shape, *given, vmap_method="sequential")
+
+
+def look_at(scene: Scene) -> Seen:
+    """Traces the pixels of a scene's camera.
+
+    Raises:
+        InputError: for a part of a material that is not given, or one that needs texture coordinates on a mesh without.
+    """
+    surfaces = join([part.mesh for part in scene.parts])
+    materials = {}
+    for part in scene.parts:
+        if part.material not in scene.materials:
+            raise InputError(f"{scene.name}: '{part.name}' is of a material '{part.material}' that is not given")
+        materials[part.material] = as_material(scene.materials[part.material])
+        if part.mesh.uv is None and materials[part.material].needs_uv:
+            raise InputError(
+                f"{scene.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
+                "needs; export it with them, or give it another material"
+            )
+    tracer = Tracer(surfaces)
+    gbuffer = see(surfaces, tracer, scene.camera, [materials[part.material].normal_map for part in scene.parts])
+    names = [part.material for part in scene.parts]
+    seen = np.asarray([sorted(materials).index(name) for name in names])[gbuffer.mesh]
+    pixel = np.flatnonzero(gbuffer.covered)
+    world = gbuffer.positions * surfaces.radius + surfaces.centre
+    lifted = gbuffer.positions + OFFSET * gbuffer.face_normals
+    parts = []
+    for number, name in enumerate(sorted(materials)):
+        mine = np.flatnonzero(seen == number)
+        pad = bucket(len(mine), 1024) - len(mine)
+
+        def padded(rows, fill=0.0, mine=mine, pad=pad):
+            wider = np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
+            return jnp.asarray(wider, jnp.int32 if wider.dtype.kind == "i" else jnp.float32)
+
+        if len(mine):
+            frame, omega_o = _framed(*(padded(rows) for rows in (gbuffer.normals, gbuffer.tangents, gbuffer.omega_o)))
+            place = padded(pixel, gbuffer.covered.size)
+            pixels = SurfacePixels(place, frame, omega_o, padded(gbuffer.uv), padded(world))
+            parts.append(SeenMaterial(name, materials[name].components, pixels, lifted[mine]))
+    return Seen(tuple(parts), gbuffer.covered, gbuffer.directions, surfaces.radius, tracer)
+
+
+@jax.jit
+def _framed(normal, tangent, omega_o):
+    frame = tangent_frame(normal, tangent)
+    return frame, jnp.einsum("pxy,py->px", frame, omega_o, precision="highest")
+
+
+@functools.partial(jax.jit, static_argnames="horizon")
+def _under(brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon: Horizon):
+    # The environment turned one way is the scene turned the other.
+    cosine, sine = jnp.cos(turn), jnp.sin(turn)
+    rotation = jnp.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+
+    def shade(frame, omega_o, uv):
+        lobes = brdf.at(uv) if isinstance(brdf, SpatialLobes) else brdf
+        radiance = prefiltered_radiance(lobes, omega_o, frame @ rotation.T, maps, horizon)
+        return jnp.where(omega_o[2] > 0, radiance * look_up(weight, uv), 0)
+
+    given = pixels.frame, pixels.omega_o, pixels.uv
+    return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)
+
+
+def prefiltered_radiance(
+    lobes: LobeSum, omega_o: Float[Array, "3"], frame: Float[Array, "3 3"], maps: Prefiltered, horizon: Horizon = "cut"
+) -> Float[Array, " c"]:
+    """Radiance towards ω_o of one point under a prefiltered environment (eq. 11, or better; see `Seen.under`).
+
+    ρ_d D(N) + Σ_l scale_l |p_l|ⁿ ∫ max(0, p̂_l·ω)ⁿ max(0, N·ω) L(ω) dω with p_l = C_l ω_o.
+    """
+    radiance = lobes.diffuse * maps.look_up(frame[2], jnp.asarray(1.0, frame.dtype))
+    if lobes.is_constant:
+        return radiance
+    peak, length = lobes.peak(omega_o)
+    exponent = lobes.exponent
+    if horizon == "cut":
+        share, peak, sharpness = cut(peak, exponent)
+    else:
+        share, sharpness = jnp.maximum(peak[..., 2], 0), exponent
+    mean = jax.vmap(jax.vmap(maps.look_up))(peak @ frame, sharpness)  # [l, c1, channels]
+    mean = mean[:, 0] if mean.shape[1] == 1 else jnp.diagonal(mean, axis1=1, axis2=2)
+    strength = safe.power(length, exponent) * share * (2 * np.pi / (exponent + 1))
+    return radiance + jnp.sum(lobes.scale * strength * mean, axis=0)
+
+
+@jax.jit
+def _lit(brdf: Brdf | SpatialLobes, weight, pixels: SurfacePixels, incident: Incident, visible):
+    def shade(frame, omega_o, uv, towards, irradiance, visible):
+        omega_i = frame @ towards
+        one = brdf.at(uv) if isinstance(brdf, SpatialLobes) else brdf
+        lit = (omega_i[2] > 0) & (omega_o[2] > 0) & (visible > 0)
+        # Where nothing arrives the BRDF is asked at the normal, so that its gradients are finite.
+        up = jnp.asarray([0, 0, 1], omega_i.dtype)
+        value = one.evaluate(jnp.where(lit, omega_i, up), jnp.where(lit, omega_o, up))
+        return jnp.where(lit, value * look_up(weight, uv) * omega_i[2] * irradiance * visible, 0)
+
+    given = pixels.frame, pixels.omega_o, pixels.uv, incident.omega_i, incident.irradiance, visible
+    return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)

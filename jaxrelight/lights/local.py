@@ -1,0 +1,139 @@
+"""Lights with a place or a direction: what arrives at points of the world. No rays are traced here."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight import safe
+from jaxrelight.errors import InputError
+
+
+class Incident(NamedTuple):
+    """Light that arrives at points.
+
+    Attributes:
+        omega_i: unit direction to the light.
+        distance: to it in world units; infinite for a distant light.
+        irradiance: on a surface that faces it.
+    """
+
+    omega_i: Float[Array, "p 3"]
+    distance: Float[Array, " p"]
+    irradiance: Float[Array, "p 3"]
+
+
+class Light(eqx.Module):
+    """A local light. `at` is pure and differentiable in positions and in the light's numbers."""
+
+    def at(self, positions: Float[Array, "p 3"]) -> Incident:
+        """What arrives at positions in the world."""
+        raise NotImplementedError
+
+
+class Point(Light):
+    """Intensity in W/sr, the same in all directions, from a position."""
+
+    position: Float[Array, "3"]
+    intensity: Float[Array, "3"]
+
+    def at(self, positions: Float[Array, "p 3"]) -> Incident:
+        """Falls off with the square of the distance."""
+        return _from(self.position, self.intensity, positions)
+
+
+class Spot(Light):
+    """A point light with a cone around the direction to `target`.
+
+    Intensity is whole up to `beam` degrees from the axis, nothing beyond `cutoff`, and linear in the angle between.
+    """
+
+    position: Float[Array, "3"]
+    target: Float[Array, "3"]
+    intensity: Float[Array, "3"]
+    cutoff: Float[Array, ""]
+    beam: Float[Array, ""]
+
+    def at(self, positions: Float[Array, "p 3"]) -> Incident:
+        """Falls off with the square of the distance and towards the cone's edge."""
+        found = _from(self.position, self.intensity, positions)
+        angle = jnp.degrees(safe.angle(-found.omega_i, jnp.broadcast_to(self.target - self.position, positions.shape)))
+        width = self.cutoff - self.beam
+        soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
+        share = jnp.where(width > 0, jnp.clip(soft, 0, 1), (angle <= self.cutoff).astype(angle.dtype))
+        return found._replace(irradiance=found.irradiance * share[:, None])
+
+
+class Directional(Light):
+    """Parallel light that travels along `direction`, with an irradiance on a surface across it."""
+
+    direction: Float[Array, "3"]
+    irradiance: Float[Array, "3"]
+
+    def at(self, positions: Float[Array, "p 3"]) -> Incident:
+        """The same everywhere."""
+        towards = jnp.broadcast_to(-safe.normalize(self.direction), positions.shape)
+        irradiance = jnp.broadcast_to(self.irradiance, positions.shape)
+        return Incident(towards, jnp.full(positions.shape[:1], jnp.inf, positions.dtype), irradiance)
+
+
+def point(position, intensity) -> Point:
+    """A point light; intensity one number or one for each channel.
+
+    Raises:
+        InputError: for numbers that are not finite or negative intensities.
+    """
+    return Point(_vector("position", position), _power("intensity", intensity))
+
+
+def spot(position, target, intensity, cutoff: float, beam: float | None = None) -> Spot:
+    """A spot light; without a beam, three quarters of the cutoff.
+
+    Raises:
+        InputError: for a target at the position, angles that are not 0 ≤ beam ≤ cutoff ≤ 180 with cutoff > 0, or
+            numbers as `point` refuses.
+    """
+    beam = 0.75 * cutoff if beam is None else beam
+    if not (np.isfinite([cutoff, beam]).all() and 0 <= beam <= cutoff <= 180 and cutoff > 0):
+        raise InputError(f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {beam:g} and cutoff {cutoff:g}")
+    position, target = _vector("position", position), _vector("target", target)
+    if (position == target).all():
+        raise InputError("a spot's target is where it stands; give it another")
+    angles = (jnp.asarray(angle, jnp.float32) for angle in (cutoff, beam))
+    return Spot(position, target, _power("intensity", intensity), *angles)
+
+
+def directional(direction, irradiance) -> Directional:
+    """A distant light that travels along `direction`.
+
+    Raises:
+        InputError: for the zero vector, or numbers as `point` refuses.
+    """
+    direction = _vector("direction", direction)
+    if not direction.any():
+        raise InputError("a directional light's direction is the zero vector; say where its light goes")
+    return Directional(direction, _power("irradiance", irradiance))
+
+
+def _from(place: Float[Array, "3"], intensity: Float[Array, "3"], positions: Float[Array, "p 3"]) -> Incident:
+    towards = place - positions
+    distance = safe.norm(towards)
+    # At the light itself the square would be infinite.
+    square = jnp.maximum(distance, 1e-6) ** 2
+    return Incident(safe.normalize(towards), distance, intensity / square[:, None])
+
+
+def _vector(name: str, values) -> Float[Array, "3"]:
+    array = np.asarray(values, float)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{name} must be three finite numbers, not {values!r}")
+    return jnp.asarray(array, jnp.float32)
+
+
+def _power(name: str, values) -> Float[Array, "3"]:
+    array = np.asarray(values, float)
+    if array.shape not in ((), (3,)) or not np.isfinite(array).all() or (array < 0).any():
+        raise InputError(f"{name} must be one number or three, finite and not negative, not {values!r}")
+    return jnp.broadcast_to(jnp.asarray(array, jnp.float32), (3,))

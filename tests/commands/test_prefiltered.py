@@ -1,0 +1,59 @@
+"""`render --lighting prefiltered`: pictures without a store."""
+
+import numpy as np
+import pytest
+
+from jaxrelight import read_image, write_image
+from tests.commands.running import SCENE, refusal_of, run, summary_of
+
+LIGHT = '[[light]]\ntype = "spot"\nposition = [1, 2, 1]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
+DARK = SCENE.replace('[environment]\nfile = "sky.exr"\n', "")
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    write_image("sky.exr", np.full((8, 16, 3), 0.5, np.float32))
+    for name, text in {"sky": SCENE, "lamp": DARK + LIGHT, "both": SCENE + LIGHT, "dark": DARK}.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+
+
+def picture(name: str, *dials) -> np.ndarray:
+    summary = summary_of(run("render", f"{name}.toml", "-o", "out.exr", "--lighting", "prefiltered", *dials, "--json"))
+    assert summary["lighting"] == "prefiltered"
+    assert summary["lights"] == ("sky" not in name)
+    assert (summary["maps_bytes"] > 0) == ("lamp" not in name)
+    pixels = read_image("out.exr")
+    assert 0.2 < summary["covered"] < 1
+    return np.where(pixels[..., 3:] > 0, pixels[..., :3], 0)
+
+
+def test_environment_and_lights_add_up():
+    np.testing.assert_allclose(picture("both"), picture("sky") + picture("lamp"), rtol=2e-3, atol=1e-4)
+    assert (picture("lamp", "--no-shadows") >= picture("lamp")).all()
+
+
+def test_the_note_says_what_is_left_out():
+    status, _, err = run("render", "sky.toml", "-o", "out.png", "--lighting", "prefiltered")
+    assert status == 0
+    assert "note: prefiltered: the environment casts no shadows" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ("both.toml -o out.exr", "transport is of distant light only, and the scene has [[light]]"),
+        ("lamp.toml -o out.exr", "transport is of distant light only, and the scene has [[light]]"),
+        ("dark.toml -o out.exr --lighting prefiltered", "the scene has no environment"),
+        ("sky.toml -o out.exr --lighting prefiltered --resolution 8", "--resolution is a dial of --lighting transport"),
+        ("sky.toml -o out.exr --lighting prefiltered --store x", "--store is a dial of --lighting transport"),
+        ("sky.toml -o out.exr --no-shadows", "--no-shadows is a dial of --lighting prefiltered"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(arguments, what):
+    assert what in refusal_of(run("render", *arguments.split()))
+
+
+def test_transport_of_a_scene_with_lights_is_not_precomputed():
+    assert "transport is of distant light only" in refusal_of(run("precompute", "both.toml", "-o", "made"))

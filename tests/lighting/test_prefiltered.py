@@ -1,0 +1,176 @@
+"""Lighting without transport: against another renderer, against exact transport, and laws."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight import (
+    Camera,
+    Part,
+    Relighter,
+    Scene,
+    Settings,
+    ashikhmin_shirley,
+    environment,
+    image_error,
+    load_scene,
+    lobe,
+    lobe_sum,
+    phong,
+    plane,
+    precompute,
+    read_image,
+    sphere,
+)
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lighting.prefiltered import Seen, look_at
+from jaxrelight.lights.local import directional, point
+from jaxrelight.lights.prefiltered import prefilter
+from tests.shared_data import shared
+
+CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 24, 20)
+LAFORTUNE = lobe_sum(
+    [0.2, 0.1, 0.3],
+    [lobe([-1, -1, 0.8], 30, specular=[0.4, 0.3, 0.2]), lobe([0.3, 0.6, 0.7], 3, peak=0.2)],
+)
+
+
+def ball(brdf, camera: Camera = CAMERA) -> Scene:
+    """A ball alone, which casts no shadow on itself."""
+    return Scene([Part(sphere(1, 24), "skin")], {"skin": brdf}, camera, name="ball")
+
+
+def sky() -> np.ndarray:
+    pixels = np.random.default_rng(0).uniform(0.05, 0.5, (16, 32, 3)).astype(np.float32)
+    pixels[4, 6] = 20
+    return pixels
+
+
+def pictured(seen: Seen, colour) -> np.ndarray:
+    return np.concatenate([np.asarray(colour), seen.covered[..., None]], axis=-1, dtype=np.float32)
+
+
+@pytest.mark.parametrize("name", ["room_point", "room_spot"])
+def test_local_lights_with_shadows_are_those_of_another_renderer(name):
+    scene = load_scene(shared("reference", f"{name}.toml"))
+    seen = look_at(scene)
+    error = image_error(pictured(seen, seen.lit_by(scene.lights)), read_image(shared("reference", f"{name}_b0.exr")))
+    assert error.trimmed < 1e-3
+    assert abs(error.mean_ratio - 1) < 2e-3
+
+
+def test_a_ball_is_lit_as_by_exact_transport_and_better_than_with_the_cosine_outside(tmp_path):
+    light = environment(sky(), rotate_y=37, scale=2)
+    scene = dataclasses.replace(ball(LAFORTUNE), environment=light)
+    exact = Relighter.open(precompute(scene, Settings("pixels", 32, coefficients="all"), tmp_path).folder)
+    truth = exact.image(light, exact.view(), background=False)
+    seen, maps = look_at(scene), prefilter(light.pixels, 128)
+    cut, outside = (
+        image_error(pictured(seen, seen.under(maps, light.rotate_y, light.scale, horizon)), truth)
+        for horizon in ("cut", "outside")
+    )
+    assert cut.trimmed < 0.02
+    assert cut.trimmed < 0.5 * outside.trimmed
+    assert cut.untrimmed < outside.untrimmed
+
+
+def test_turning_the_map_is_turning_its_pixels():
+    seen, pixels = look_at(ball(LAFORTUNE)), sky()
+    turned = seen.under(prefilter(np.roll(pixels, -8, axis=1), 64))
+    np.testing.assert_allclose(seen.under(prefilter(pixels, 64), 90), turned, rtol=2e-3, atol=1e-4)
+
+
+def test_light_adds_up_and_scales():
+    seen = look_at(ball(LAFORTUNE))
+    one, two = point([2, 3, 1], [5, 4, 3]), directional([-1, -1, 0], 2)
+    both = seen.lit_by([one, two])
+    np.testing.assert_allclose(both, seen.lit_by([one]) + seen.lit_by([two]), rtol=1e-5)
+    maps = prefilter(sky(), 32)
+    np.testing.assert_allclose(seen.under(maps, 0, 3), 3 * seen.under(maps), rtol=1e-5)
+
+
+def test_shadows_only_take_away_and_can_be_left_out():
+    parts = [Part(sphere(0.5, 12), "skin"), Part(plane((4, 4), 1), "skin")]
+    seen = look_at(Scene(parts, {"skin": phong(0.5, 0, 1)}, CAMERA))
+    lamp = point([2, 1, 0], 3)
+    with_shadows, without = seen.lit_by([lamp]), seen.lit_by([lamp], shadows=False)
+    assert (with_shadows <= without).all()
+    dark = np.asarray((with_shadows == 0) & (without > 0)).any(axis=-1)
+    assert 0.02 < dark.mean() < 0.5
+
+
+def test_a_ray_is_blocked_only_by_what_is_nearer_than_the_light():
+    from jaxrelight.geometry.surfaces import join
+
+    tracer = Tracer(join([plane((2, 2), 1)]))
+    origins, down = np.tile([0.1, 0.5, 0.2], (3, 1)), np.tile([0.0, -1, 0], (3, 1))
+    np.testing.assert_array_equal(tracer.blocked(origins, down, np.array([0.49, 0.51, np.inf])), [False, True, True])
+
+
+def test_every_texel_has_its_own_lobes():
+    flat = {"diffuse": [0.2, 0.1, 0.3], "C": [[-1, -1, 0.8]], "exponent": [30.0], "scale": [[0.4, 0.3, 0.2]]}
+    maps = {
+        name: jnp.tile(jnp.asarray(value, jnp.float32), (2, 2, *[1] * np.ndim(value))) for name, value in flat.items()
+    }
+    spatial = SpatialLobes(**maps, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (2, 2, 1)))
+    same = lobe_sum(flat["diffuse"], [lobe(flat["C"][0], 30, peak=flat["scale"][0])])
+    card = plane((3, 3), 2)
+    scenes = [Scene([Part(card, "card")], {"card": brdf}, CAMERA) for brdf in (Material((Component(spatial),)), same)]
+    pictures = [seen.under(prefilter(sky(), 64)) + seen.lit_by([point([1, 2, 1], 3)]) for seen in map(look_at, scenes)]
+    np.testing.assert_allclose(*pictures, rtol=2e-3)
+    bright = dataclasses.replace(scenes[0], materials={"card": Material((Component(_with_bright_corner(spatial)),))})
+    seen = look_at(bright)
+    assert np.asarray(seen.under(prefilter(sky(), 64)) - pictures[0]).max() > 0.01
+
+
+def _with_bright_corner(spatial: SpatialLobes) -> SpatialLobes:
+    return dataclasses.replace(spatial, diffuse=spatial.diffuse.at[0, 0].set(1.0))
+
+
+def test_gradients_in_lights_and_materials_are_right():
+    scene = ball(LAFORTUNE)
+    seen = look_at(scene)
+    maps = prefilter(sky(), 32)
+
+    def brightness(light, lobes, rotate_y):
+        part = dataclasses.replace(seen.materials[0], components=(Component(lobes),))
+        mine = dataclasses.replace(seen, materials=(part,))
+        return jnp.mean(mine.lit_by([light])) + jnp.mean(mine.under(maps, rotate_y))
+
+    given = point([2, 2, 2], 4.0), LAFORTUNE, jnp.asarray(20.0)
+    slopes = jax.grad(brightness, argnums=(0, 1, 2))(*given)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+    step = 1e-2
+    moved = dataclasses.replace(given[0], position=given[0].position.at[1].add(step))
+    back = dataclasses.replace(given[0], position=given[0].position.at[1].add(-step))
+    # Shadows stand still, and the ball casts none.
+    change = (brightness(moved, *given[1:]) - brightness(back, *given[1:])) / (2 * step)
+    np.testing.assert_allclose(slopes[0].position[1], change, rtol=0.05)
+    brighter = dataclasses.replace(LAFORTUNE, diffuse=LAFORTUNE.diffuse + step)
+    change = (brightness(given[0], brighter, given[2]) - brightness(*given)) / step
+    np.testing.assert_allclose(slopes[1].diffuse.sum(), change, rtol=1e-3)
+
+
+def test_what_is_no_sum_of_lobes_is_refused_under_an_environment_and_not_under_lamps():
+    seen = look_at(ball(ashikhmin_shirley(0.3, 0.2, 10, 50)))
+    with pytest.raises(InputError, match=r"\[material.skin\]: prefiltered environments are for sums of lobes"):
+        seen.under(prefilter(sky(), 32))
+    assert np.asarray(seen.lit_by([point([2, 2, 2], 4.0)])).max() > 0
+
+
+def test_exponents_and_peaks_at_the_extremes_are_finite():
+    for exponent in (0, 1e-3, 1e4, 1e6):
+        for C in ([-1, -1, 1], [-2, -2, 1.5], [0.5, 0.5, -1], [0, 0, 0]):
+            brdf = dataclasses.replace(
+                LAFORTUNE, C=jnp.asarray([[C]], jnp.float32), exponent=jnp.full((1, 1), exponent)
+            )
+            brdf = dataclasses.replace(brdf, scale=jnp.full((1, 3), 0.1))
+            seen = look_at(ball(brdf, dataclasses.replace(CAMERA, width=8, height=8)))
+            assert np.isfinite(seen.under(prefilter(sky(), 32))).all()
+            assert np.isfinite(seen.lit_by([directional([0, -1, 0], 1)])).all()
