@@ -44,12 +44,15 @@ class LobeSampler(eqx.Module):
 
     def sample(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """One direction; it may lie below the surface."""
-        choice, place = jax.random.split(key)
-        u, v = jax.random.uniform(place, (2,), self.shares.dtype)
+        return self.at(*jax.random.uniform(key, (3,), self.shares.dtype))
+
+    def at(self, choice: Float[Array, ""], u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
+        """The direction that three numbers from 0 to 1 stand for: uniform ones, random or not, give its density."""
         drawn = [from_disc(u, v)[None]]
         if len(self.exponents):
             drawn.append(jax.vmap(lambda peak, n: _about(peak, n, u, v))(self.peaks, self.exponents))
-        return jnp.concatenate(drawn)[jax.random.categorical(choice, jnp.log(self.shares))]
+        part = jnp.searchsorted(jnp.cumsum(self.shares), choice, side="right")
+        return jnp.concatenate(drawn)[jnp.minimum(part, len(self.shares) - 1)]
 
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle, over the whole sphere."""
