@@ -22,7 +22,10 @@ PROGRAMS = (
     "second_render",
     "fit_speed",
     "fit_materials",
+    "fit_measured",
     "fit_sbrdf",
+    "measured_material",
+    "prefiltered",
 )
 
 
