@@ -68,6 +68,21 @@ class Scene:
         lines = [f"{part.name}: {note}" for part in self.parts for note in part.mesh.notes]
         return (*lines, *self.assumptions, *(self.environment.notes if self.environment else ()))
 
+    def check_materials(self):
+        """Refuses parts whose material is not given, or cannot be put on them.
+
+        Raises:
+            InputError: for the first of them.
+        """
+        for part in self.parts:
+            if part.material not in self.materials:
+                raise InputError(f"{self.name}: '{part.name}' is of a material '{part.material}' that is not given")
+            if part.mesh.uv is None and as_material(self.materials[part.material]).needs_uv:
+                raise InputError(
+                    f"{self.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
+                    "needs; export it with them, or give it another material"
+                )
+
     def check_distant(self):
         """Refuses local lights, which precomputed transport has not.
 

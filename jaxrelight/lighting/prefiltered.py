@@ -161,26 +161,18 @@ def look_at(scene: Scene) -> Seen:
     Raises:
         InputError: for a part of a material that is not given, or one that needs texture coordinates on a mesh without.
     """
+    scene.check_materials()
     surfaces = join([part.mesh for part in scene.parts])
-    materials = {}
-    for part in scene.parts:
-        if part.material not in scene.materials:
-            raise InputError(f"{scene.name}: '{part.name}' is of a material '{part.material}' that is not given")
-        materials[part.material] = as_material(scene.materials[part.material])
-        if part.mesh.uv is None and materials[part.material].needs_uv:
-            raise InputError(
-                f"{scene.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
-                "needs; export it with them, or give it another material"
-            )
-    tracer = Tracer(surfaces)
-    gbuffer = see(surfaces, tracer, scene.camera, [materials[part.material].normal_map for part in scene.parts])
     names = [part.material for part in scene.parts]
-    seen = np.asarray([sorted(materials).index(name) for name in names])[gbuffer.mesh]
+    materials = {name: as_material(scene.materials[name]) for name in sorted(set(names))}
+    tracer = Tracer(surfaces)
+    gbuffer = see(surfaces, tracer, scene.camera, [materials[name].normal_map for name in names])
+    seen = np.asarray([[*materials].index(name) for name in names])[gbuffer.mesh]
     pixel = np.flatnonzero(gbuffer.covered)
     world = gbuffer.positions * surfaces.radius + surfaces.centre
     lifted = gbuffer.positions + OFFSET * gbuffer.face_normals
     parts = []
-    for number, name in enumerate(sorted(materials)):
+    for number, name in enumerate(materials):
         mine = np.flatnonzero(seen == number)
         pad = bucket(len(mine), 1024) - len(mine)
 

@@ -89,14 +89,8 @@ def precompute(
     seconds: dict[str, float] = {}
     with _timed(seconds, "geometry"):
         scene.check_distant()
+        scene.check_materials()
         for part in scene.parts:
-            if part.material not in scene.materials:
-                raise InputError(f"{scene.name}: '{part.name}' is of a material '{part.material}' that is not given")
-            if part.mesh.uv is None and as_material(scene.materials[part.material]).needs_uv:
-                raise InputError(
-                    f"{scene.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
-                    "needs; export it with them, or give it another material"
-                )
             _check_terms(scene, part.material, settings)
             if settings.receivers == "vertices" and as_material(scene.materials[part.material]).is_spatial:
                 raise InputError(
