@@ -69,3 +69,15 @@ class SpatialLobes(eqx.Module):
         none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
         angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
         return LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], lobes, c), angle)
+
+    def around(self, uv: Float[Array, "2"]) -> tuple[LobeSum, Float[Array, "4"]]:
+        """The BRDFs of the four texels around texture coordinates, and their bilinear weights.
+
+        The weighted sum of what they reflect is reflectance interpolated, where `at` interpolates parameters.
+        """
+        h, w = self.shape
+        x, y = uv[0] * w - 0.5, (1 - uv[1]) * h - 0.5
+        left, top = jnp.floor(x), jnp.floor(y)
+        columns, rows = left + jnp.asarray([0, 1, 0, 1]), top + jnp.asarray([0, 0, 1, 1])
+        weights = jnp.maximum(1 - jnp.abs(x - columns), 0) * jnp.maximum(1 - jnp.abs(y - rows), 0)
+        return self.at(jnp.stack([(columns + 0.5) / w, 1 - (rows + 0.5) / h], axis=-1)), weights

@@ -6,13 +6,30 @@ from typing import TYPE_CHECKING
 from jaxrelight.commands.options import LightOptions, PictureOptions
 
 if TYPE_CHECKING:
+    from jaxrelight.lighting.prefiltered import Texels
     from jaxrelight.scene import Scene
 
 
 def prefiltered_picture(
-    scene: "Scene", light: LightOptions, output: pathlib.Path, picture: PictureOptions, shadows: bool, seconds: dict
+    scene: "Scene",
+    light: LightOptions,
+    output: pathlib.Path,
+    picture: PictureOptions,
+    *,
+    shadows: bool,
+    texels: "Texels",
+    seconds: dict[str, float],
 ) -> dict:
     """Lights a scene by its prefiltered environment and its local lights, writes the picture and says what it took.
+
+    Args:
+        scene: with the camera.
+        light: changes the scene's environment.
+        output: the picture's file.
+        picture: how it is written.
+        shadows: whether local lights cast them.
+        texels: what is interpolated between those of an SBRDF.
+        seconds: by stage; what is done here is added.
 
     Raises:
         InputError: for a scene without any light, or as `Seen.under` does.
@@ -42,9 +59,9 @@ def prefiltered_picture(
             maps = jax.block_until_ready(prefilter(environment.pixels))
             maps_bytes = maps.texels.nbytes
         with timed(seconds, "environment"):
-            image = image + np.asarray(seen.under(maps, environment.rotate_y, environment.scale))
+            image = image + np.asarray(seen.under(maps, environment.rotate_y, environment.scale, texels=texels))
     with timed(seconds, "lights"):
-        image = image + np.asarray(seen.lit_by(scene.lights, shadows))
+        image = image + np.asarray(seen.lit_by(scene.lights, shadows, texels))
     if environment is not None and picture.background == "environment":
         image = np.where(seen.covered[..., None], image, np.asarray(seen.background(environment)))
     image = np.concatenate([image, seen.covered[..., None]], axis=-1, dtype=np.float32)

@@ -30,6 +30,9 @@ class Render:
     knows local lights too, and its environment casts no shadows; materials must be sums of lobes."""
     shadows: bool = True
     """Let local lights cast shadows."""
+    texels: Literal["parameters", "reflectance"] = "parameters"
+    """What is interpolated between texels of an SBRDF under prefiltered lighting: 'reflectance' is right between unlike
+    texels, and slower."""
     dials: tyro.conf.OmitArgPrefixes[PrecomputeOptions] = PrecomputeOptions()
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
@@ -52,8 +55,10 @@ class Render:
         from jaxrelight.transport.precompute import precompute
 
         check_writable(self.output)
-        if self.lighting == "transport" and not self.shadows:
-            raise InputError("--no-shadows is a dial of --lighting prefiltered; leave it out")
+        if self.lighting == "transport":
+            for option, given in (("--no-shadows", not self.shadows), ("--texels", self.texels != "parameters")):
+                if given:
+                    raise InputError(f"{option} is a dial of --lighting prefiltered; leave it out")
         seconds = {}
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
@@ -84,12 +89,13 @@ class Render:
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
 
-        dials = {"store": (self.store, None), "receivers": (self.receivers, "pixels")}
-        dials |= {name: (given, getattr(PrecomputeOptions(), name)) for name, given in vars(self.dials).items()}
-        for name, (given, default) in dials.items():
+        others = {"store": (self.store, None), "receivers": (self.receivers, "pixels")}
+        others |= {name: (given, getattr(PrecomputeOptions(), name)) for name, given in vars(self.dials).items()}
+        for name, (given, default) in others.items():
             if given != default:
                 raise InputError(f"--{name.replace('_', '-')} is a dial of --lighting transport; leave it out")
         notes(dict.fromkeys(scene.notes))
-        picture = prefiltered_picture(scene, self.light, self.output, self.picture, self.shadows, seconds)
+        dials = {"shadows": self.shadows, "texels": self.texels}
+        picture = prefiltered_picture(scene, self.light, self.output, self.picture, **dials, seconds=seconds)
         seconds["total"] = time.perf_counter() - start
         summarize({"command": "render", "lighting": "prefiltered", **picture, "seconds": seconds}, self.json)

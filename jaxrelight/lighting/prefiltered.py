@@ -38,6 +38,8 @@ from jaxrelight.transport.normal_maps import see
 _TOGETHER = 4096
 # How the cosine and the horizon come in: by a lobe that stands for the product, or outside the integral (eq. 11).
 Horizon = Literal["cut", "outside"]
+# What is interpolated between the texels of an SBRDF: its parameters, or what each of the four around reflects.
+Texels = Literal["parameters", "reflectance"]
 
 
 class SurfacePixels(eqx.Module):
@@ -92,6 +94,7 @@ class Seen:
         rotate_y: float | Float[Array, ""] = 0.0,
         scale: float | Float[Array, ""] = 1.0,
         horizon: Horizon = "cut",
+        texels: Texels = "parameters",
     ) -> Float[Array, "h w 3"]:
         """Radiance under a prefiltered environment, without shadows; differentiable in the maps and in BRDFs.
 
@@ -101,6 +104,8 @@ class Seen:
             scale: factor on its radiance.
             horizon: "cut" lets each lobe's cosine and horizon move and sharpen it; "outside" multiplies by the cosine
                 of its peak (eq. 11), which counts light from below the surface.
+            texels: "parameters" of an SBRDF are interpolated, or the "reflectance" of the four texels around, which
+                is right between unlike ones and takes four times as long.
 
         Raises:
             InputError: for a BRDF that is no sum of lobes.
@@ -113,11 +118,14 @@ class Seen:
                         f"[material.{part.name}]: prefiltered environments are for sums of lobes; fit lobes to it with "
                         "'jaxrelight-fit lafortune', or use --lighting transport"
                     )
-                found = _under(component.brdf, component.weight, part.pixels, maps, jnp.radians(rotate_y), horizon)
+                turn = jnp.radians(rotate_y)
+                found = _under(component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
                 image = image.at[part.pixels.pixel].add(scale * found, mode="drop")
         return image.reshape(*self.covered.shape, 3)
 
-    def lit_by(self, lights: Sequence[Light], shadows: bool = True) -> Float[Array, "h w 3"]:
+    def lit_by(
+        self, lights: Sequence[Light], shadows: bool = True, texels: Texels = "parameters"
+    ) -> Float[Array, "h w 3"]:
         """Radiance under local lights, of any BRDF; differentiable in lights and BRDFs while shadows stand still."""
         image = self._black()
         for light in lights:
@@ -125,7 +133,7 @@ class Seen:
                 incident = light.at(part.pixels.position)
                 visible = self._visible(part, incident) if shadows else jnp.ones_like(incident.distance)
                 for component in part.components:
-                    found = _lit(component.brdf, component.weight, part.pixels, incident, visible)
+                    found = _lit(component.brdf, component.weight, part.pixels, incident, visible, texels)
                     image = image.at[part.pixels.pixel].add(found, mode="drop")
         return image.reshape(*self.covered.shape, 3)
 
@@ -194,15 +202,25 @@ def _framed(normal, tangent, omega_o):
     return frame, jnp.einsum("pxy,py->px", frame, omega_o, precision="highest")
 
 
-@functools.partial(jax.jit, static_argnames="horizon")
-def _under(brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon: Horizon):
+def _at(brdf, uv: Float[Array, "2"], texels: Texels, reflected):
+    """What is reflected, by a function of a BRDF, at texture coordinates."""
+    if not isinstance(brdf, SpatialLobes):
+        return reflected(brdf)
+    if texels == "parameters":
+        return reflected(brdf.at(uv))
+    four, weights = brdf.around(uv)
+    return weights @ jax.vmap(reflected)(four)
+
+
+@functools.partial(jax.jit, static_argnames=("horizon", "texels"))
+def _under(brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon: Horizon, texels: Texels):
     # The environment turned one way is the scene turned the other.
     cosine, sine = jnp.cos(turn), jnp.sin(turn)
     rotation = jnp.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
 
     def shade(frame, omega_o, uv):
-        lobes = brdf.at(uv) if isinstance(brdf, SpatialLobes) else brdf
-        radiance = prefiltered_radiance(lobes, omega_o, frame @ rotation.T, maps, horizon)
+        turned = frame @ rotation.T
+        radiance = _at(brdf, uv, texels, lambda lobes: prefiltered_radiance(lobes, omega_o, turned, maps, horizon))
         return jnp.where(omega_o[2] > 0, radiance * look_up(weight, uv), 0)
 
     given = pixels.frame, pixels.omega_o, pixels.uv
@@ -231,15 +249,15 @@ def prefiltered_radiance(
     return radiance + jnp.sum(lobes.scale * strength * mean, axis=0)
 
 
-@jax.jit
-def _lit(brdf: Brdf | SpatialLobes, weight, pixels: SurfacePixels, incident: Incident, visible):
+@functools.partial(jax.jit, static_argnames="texels")
+def _lit(brdf: Brdf | SpatialLobes, weight, pixels: SurfacePixels, incident: Incident, visible, texels: Texels):
     def shade(frame, omega_o, uv, towards, irradiance, visible):
         omega_i = frame @ towards
-        one = brdf.at(uv) if isinstance(brdf, SpatialLobes) else brdf
         lit = (omega_i[2] > 0) & (omega_o[2] > 0) & (visible > 0)
         # Where nothing arrives the BRDF is asked at the normal, so that its gradients are finite.
         up = jnp.asarray([0, 0, 1], omega_i.dtype)
-        value = one.evaluate(jnp.where(lit, omega_i, up), jnp.where(lit, omega_o, up))
+        pair = jnp.where(lit, omega_i, up), jnp.where(lit, omega_o, up)
+        value = _at(brdf, uv, texels, lambda one: one.evaluate(*pair))
         return jnp.where(lit, value * look_up(weight, uv) * omega_i[2] * irradiance * visible, 0)
 
     given = pixels.frame, pixels.omega_o, pixels.uv, incident.omega_i, incident.irradiance, visible

@@ -31,6 +31,7 @@ def picture(name: str, *dials) -> np.ndarray:
 
 def test_environment_and_lights_add_up():
     np.testing.assert_allclose(picture("both"), picture("sky") + picture("lamp"), rtol=2e-3, atol=1e-4)
+    np.testing.assert_array_equal(picture("lamp", "--texels", "reflectance"), picture("lamp"))
     assert (picture("lamp", "--no-shadows") >= picture("lamp")).all()
 
 
@@ -48,6 +49,7 @@ def test_the_note_says_what_is_left_out():
         ("dark.toml -o out.exr --lighting prefiltered", "the scene has no environment"),
         ("sky.toml -o out.exr --lighting prefiltered --resolution 8", "--resolution is a dial of --lighting transport"),
         ("sky.toml -o out.exr --lighting prefiltered --store x", "--store is a dial of --lighting transport"),
+        ("sky.toml -o out.exr --texels reflectance", "--texels is a dial of --lighting prefiltered"),
         ("sky.toml -o out.exr --no-shadows", "--no-shadows is a dial of --lighting prefiltered"),
     ],
 )

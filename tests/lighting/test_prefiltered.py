@@ -29,7 +29,7 @@ from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.lighting.prefiltered import Seen, look_at
+from jaxrelight.lighting.prefiltered import Seen, look_at, prefiltered_radiance
 from jaxrelight.lights.local import directional, point
 from jaxrelight.lights.prefiltered import prefilter
 from tests.shared_data import shared
@@ -127,6 +127,30 @@ def test_every_texel_has_its_own_lobes():
     bright = dataclasses.replace(scenes[0], materials={"card": Material((Component(_with_bright_corner(spatial)),))})
     seen = look_at(bright)
     assert np.asarray(seen.under(prefilter(sky(), 64)) - pictures[0]).max() > 0.01
+
+
+def test_reflectance_between_texels_is_the_mean_of_theirs():
+    """A card of two texels, a sharp lobe and a soft one: in the middle of the card both are seen half."""
+    tiles = {"diffuse": [[0.2] * 3] * 2, "C": [[[-1, -1, 1]]] * 2, "exponent": [[2], [300]], "scale": [[[0.3] * 3]] * 2}
+    arrays = {name: jnp.asarray(value, jnp.float32)[None] for name, value in tiles.items()}
+    pair = SpatialLobes(**arrays, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (1, 2, 1)))
+    ones = [SpatialLobes(*(leaf[:, i : i + 1] for leaf in jax.tree.leaves(pair))) for i in (0, 1)]
+    middle = jnp.full((1, 2), 0.5)
+    lobes, weights = jax.vmap(pair.around)(middle)
+    np.testing.assert_allclose(weights.sum(), 1, rtol=1e-6)
+    maps = prefilter(sky(), 64)
+    eye, frame = jnp.asarray([0.6, 0, 0.8]), jnp.eye(3)
+    found = weights[0] @ jax.vmap(lambda one: prefiltered_radiance(one, eye, frame, maps))(
+        jax.tree.map(lambda leaf: leaf[0], lobes)
+    )
+    whole = [prefiltered_radiance(one.at(middle[0]), eye, frame, maps) for one in ones]
+    np.testing.assert_allclose(found, (whole[0] + whole[1]) / 2, rtol=1e-4)
+    card = plane((3, 3), 2)
+    seen = look_at(Scene([Part(card, "card")], {"card": Material((Component(pair),))}, CAMERA))
+    by_parameters, by_reflectance = (seen.under(maps, texels=texels) for texels in ("parameters", "reflectance"))
+    assert 1e-3 < np.abs(by_parameters - by_reflectance).max() < 1
+    lamp = [point([0.3, 2, -1], 3)]
+    assert np.abs(seen.lit_by(lamp) - seen.lit_by(lamp, texels="reflectance")).max() > 1e-3
 
 
 def _with_bright_corner(spatial: SpatialLobes) -> SpatialLobes:
