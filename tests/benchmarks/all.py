@@ -26,6 +26,7 @@ PROGRAMS = (
     "fit_sbrdf",
     "measured_material",
     "prefiltered",
+    "sbrdf_frames",
 )
 
 

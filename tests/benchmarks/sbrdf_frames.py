@@ -1,0 +1,140 @@
+"""Frames of spatial BRDFs under local lights and environments: lobes, lights, and the number of distinct BRDFs."""
+
+import argparse
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+from tests.benchmarks.measuring import Report, Timing, interleaved, shared
+
+LOBES = LIGHTS = 1, 2, 3
+SIDES = 1, 32, 256, 1024
+BRDFS = 1, 2, 4, 8, 16
+TERMS, RUNS = 4, 7
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.sbrdf_frames", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="small pictures and maps; RESULTS.md is left as it is")
+    quick = parser.parse_args().quick
+    size, sides = ((80, 60), (1, 32)) if quick else ((800, 600), SIDES)
+    shared("data", "mesh", "spot.obj")
+    parameters = f"spot, close, {size[0]}×{size[1]}; frames a second of shading what the camera sees"
+    with Report("sbrdf_frames", "Frames of spatial BRDFs", parameters, not quick) as report:
+        scene = spot(size)
+        lobes_and_lights(report, scene, sides[-1])
+        distinct(report, scene, sides, 4 if quick else len(BRDFS))
+        report.speed()
+
+
+def spot(size: tuple[int, int]):
+    """The cow alone, filling the picture."""
+    from jaxrelight import Camera, Part, Scene, lambert, load_mesh
+    from jaxrelight.geometry.mesh import normalized
+
+    mesh = normalized(load_mesh(shared("data", "mesh", "spot.obj")), 1.0)
+    camera = Camera((0.9, 0.6, -1.1), (0.0, 0.32, 0.0), (0.0, 1.0, 0.0), 38.0, *size)
+    return Scene([Part(mesh, "skin")], {"skin": lambert(0.5)}, camera, name="spot")
+
+
+def maps(side: int, lobes: int):
+    """A BRDF of its own in each of side² texels."""
+    from jaxrelight.brdf.spatial import SpatialLobes
+
+    chance = np.random.default_rng(side)
+    C = chance.uniform(-1, 1, (side, side, lobes, 3)) * 0.3 + [-0.8, -0.8, 0.8]
+    angle = chance.uniform(0, np.pi, (side, side))
+    arrays = (
+        chance.uniform(0, 0.5, (side, side, 3)),
+        C / np.abs(C).max(axis=-1, keepdims=True),
+        np.exp(chance.uniform(0, 5, (side, side, lobes))),
+        chance.uniform(0, 1, (side, side, lobes, 3)) / lobes,
+        np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1),
+    )
+    return SpatialLobes(*(jnp.asarray(array, jnp.float32) for array in arrays))
+
+
+def lamps():
+    from jaxrelight.lights.local import directional, point, spot
+
+    return [
+        point([1, 2, -2], [8, 7, 6]),
+        directional([1, -1, 0.4], 2),
+        spot([-2, 2, -1], [0, 0.3, 0], [20, 20, 25], 30),
+    ]
+
+
+def seen_with(scene, brdf):
+    from jaxrelight.brdf.material import Component, Material
+    from jaxrelight.lighting.prefiltered import look_at
+
+    material = brdf if isinstance(brdf, Material) else Material((Component(brdf),))
+    return look_at(dataclasses.replace(scene, materials={"skin": material}))
+
+
+def lobes_and_lights(report: Report, scene, side: int):
+    """Table 1 of the paper."""
+    from jaxrelight.lights.prefiltered import prefilter
+
+    environment, lights = prefilter(np.ones((8, 16, 3), np.float32)), lamps()
+    every = {lobes: seen_with(scene, maps(side, lobes)) for lobes in LOBES}
+    ways = {}
+    for count in LIGHTS:
+        some, name = lights[:count], f"{count} light{'s' if count > 1 else ''}"
+        ways[name] = lambda seen, some=some: seen.lit_by(some, shadows=False)
+        ways[f"{name}, shadows"] = lambda seen, some=some: seen.lit_by(some)
+    ways["prefiltered environment"] = lambda seen: seen.under(environment)
+    ways["… four texels evaluated"] = lambda seen: seen.under(environment, texels="reflectance")
+    sides = {f"{way}, {n}": lambda s=seen, w=shade: w(s) for way, shade in ways.items() for n, seen in every.items()}
+    times = interleaved(sides, RUNS)
+    rows = [[way, *(f"{1 / times[f'{way}, {n}'].median:.1f}" for n in LOBES)] for way in ways]
+    covered = int(every[LOBES[0]].covered.sum())
+    report.text(
+        f"**Lobes × lights**, the layout of Table 1, maps of {side}² distinct BRDFs, {covered:,} pixels of the "
+        "surface. The paper's rates, on its hardware and 25 % of its scene: 50.7, 29.5, 20.8 with one light, 20.8, "
+        "11.1, 7.6 with three."
+    )
+    report.table(["frames a second", *(f"{n} lobe{'s' if n > 1 else ''}" for n in LOBES)], rows)
+
+
+def distinct(report: Report, scene, sides: tuple[int, ...], most: int):
+    """The cost against the number of BRDFs: maps of lobes, and factored BRDFs with masks (Table 2)."""
+    from jaxrelight import factor, phong
+    from jaxrelight.brdf.material import Component, Material
+    from jaxrelight.brdf.separable import separable
+    from jaxrelight.brdf.texture import Texture
+    from jaxrelight.lights.prefiltered import prefilter
+
+    light, environment = lamps()[:1], prefilter(np.ones((8, 16, 3), np.float32))
+    every = {f"{side**2:,}": seen_with(scene, maps(side, 1)) for side in sides}
+    ways = {
+        "light": lambda seen: seen.lit_by(light, shadows=False),
+        "environment": lambda seen: seen.under(environment),
+    }
+    runs = {
+        f"{count} {way}": lambda s=seen, w=shade: w(s) for count, seen in every.items() for way, shade in ways.items()
+    }
+    times = interleaved(runs, RUNS)
+    rows = []
+    for count in every:
+        found = [(times[f"{count} {way}"], times[f"1 {way}"]) for way in ways]
+        rows.append([count, *(cell for time, one in found for cell in (_milliseconds(time), f"{time.over(one):.2f}"))])
+    report.text("**Distinct BRDFs** in a map of one lobe; one light without shadows, or an environment; ratios to one.")
+    report.table(["BRDFs", "light", "ratio", "sky", "ratio"], rows)
+    masks = [Texture(jnp.asarray(np.random.default_rng(i).random((64, 64, 1)), jnp.float32)) for i in range(BRDFS[-1])]
+    brdfs = [separable(factor(phong(0.3, 0.3, 5 + i), TERMS)) for i in range(BRDFS[most - 1])]
+    parts = [Component(brdf, (mask,)) for brdf, mask in zip(brdfs, masks, strict=False)]
+    factored = {count: seen_with(scene, Material(tuple(parts[:count]))) for count in BRDFS[:most]}
+    times = interleaved({str(n): lambda s=s: s.lit_by(light, shadows=False) for n, s in factored.items()}, RUNS)
+    report.text(f"**Factored BRDFs**, {TERMS} terms each, blended by masks, one light without shadows.")
+    rows = [[count, _milliseconds(time), f"{time.over(times['1']):.2f}"] for count, time in times.items()]
+    report.table(["BRDFs", "light", "ratio"], rows)
+
+
+def _milliseconds(time: Timing) -> str:
+    return f"{1e3 * time.median:.1f} ms"
+
+
+if __name__ == "__main__":
+    main()
