@@ -48,18 +48,40 @@ class SpatialLobes(eqx.Module):
         """(rows, columns) of texels."""
         return self.diffuse.shape[0], self.diffuse.shape[1]
 
+    def packed(self) -> "PackedLobes":
+        """All parameters of a texel side by side, for many look-ups. Differentiable in the maps."""
+        h, w, lobes, _ = self.C.shape
+        logarithm = jnp.log(jnp.maximum(self.exponent, 1e-6))
+        maps = [self.diffuse, self.C, logarithm, self.scale, self.axis]
+        whole = Texture(jnp.concatenate([part.reshape(h, w, -1) for part in maps], axis=-1))
+        return PackedLobes(whole, lobes, self.channels)
+
+    def at(self, uv: Float[Array, "*p 2"]) -> LobeSum:
+        """The BRDFs at texture coordinates, see `PackedLobes.at`."""
+        return self.packed().at(uv)
+
+
+class PackedLobes(eqx.Module):
+    """`SpatialLobes` as one texture of diffuse, C, log exponents, scale and axis: a look-up reads one place.
+
+    Attributes:
+        texture: of c + (4 + c) · lobes + 2 channels.
+        lobes: l.
+        channels: c.
+    """
+
+    texture: Texture
+    lobes: int = eqx.field(static=True)
+    channels: int = eqx.field(static=True)
+
     def at(self, uv: Float[Array, "*p 2"]) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
         Parameters are interpolated between texels: C by components and then to max|C| = 1 again, exponents by their
         logarithms, which spread a highlight evenly.
         """
-        h, w, lobes, _ = self.C.shape
-        logarithm = jnp.log(jnp.maximum(self.exponent, 1e-6))
-        maps = [self.diffuse, self.C, logarithm, self.scale, self.axis]
-        whole = Texture(jnp.concatenate([part.reshape(h, w, -1) for part in maps], axis=-1))
-        flat = jax.vmap(whole.look_up)(uv.reshape(-1, 2)).reshape(*uv.shape[:-1], -1)
-        c = self.diffuse.shape[-1]
+        flat = jax.vmap(self.texture.look_up)(uv.reshape(-1, 2)).reshape(*uv.shape[:-1], -1)
+        c, lobes = self.channels, self.lobes
         diffuse, C, logarithm, scale, axis = jnp.split(
             flat, [c, c + 3 * lobes, c + 4 * lobes, (c + 4) * lobes + c], axis=-1
         )
@@ -75,7 +97,7 @@ class SpatialLobes(eqx.Module):
 
         The weighted sum of what they reflect is reflectance interpolated, where `at` interpolates parameters.
         """
-        h, w = self.shape
+        h, w = self.texture.pixels.shape[:2]
         x, y = uv[0] * w - 0.5, (1 - uv[1]) * h - 0.5
         left, top = jnp.floor(x), jnp.floor(y)
         columns, rows = left + jnp.asarray([0, 1, 0, 1]), top + jnp.asarray([0, 0, 1, 1])

@@ -21,8 +21,8 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.horizon import cut
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, as_material
-from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.texture import look_up
+from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
+from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.frame import tangent_frame
@@ -61,11 +61,19 @@ class SurfacePixels(eqx.Module):
 
 
 @dataclasses.dataclass(frozen=True)
+class SeenComponent:
+    """A `Component` whose maps of lobes, where it has any, are packed once for all frames."""
+
+    brdf: Brdf | PackedLobes
+    weight: Weight
+
+
+@dataclasses.dataclass(frozen=True)
 class SeenMaterial:
     """A material, and the pixels that see it; `rays` are origins in scene space of rays from them, without padding."""
 
     name: str
-    components: tuple[Component, ...]
+    components: tuple[SeenComponent, ...]
     pixels: SurfacePixels
     rays: Float[np.ndarray, "r 3"]
 
@@ -113,7 +121,7 @@ class Seen:
         image = self._black()
         for part in self.materials:
             for component in part.components:
-                if not isinstance(component.brdf, LobeSum | SpatialLobes):
+                if not isinstance(component.brdf, LobeSum | PackedLobes):
                     raise InputError(
                         f"[material.{part.name}]: prefiltered environments are for sums of lobes; fit lobes to it with "
                         "'jaxrelight-fit lafortune', or use --lighting transport"
@@ -192,8 +200,14 @@ def look_at(scene: Scene) -> Seen:
             frame, omega_o = _framed(*(padded(rows) for rows in (gbuffer.normals, gbuffer.tangents, gbuffer.omega_o)))
             place = padded(pixel, gbuffer.covered.size)
             pixels = SurfacePixels(place, frame, omega_o, padded(gbuffer.uv), padded(world))
-            parts.append(SeenMaterial(name, materials[name].components, pixels, lifted[mine]))
+            components = tuple(map(seen_component, materials[name].components))
+            parts.append(SeenMaterial(name, components, pixels, lifted[mine]))
     return Seen(tuple(parts), gbuffer.covered, gbuffer.directions, surfaces.radius, tracer)
+
+
+def seen_component(part: Component) -> SeenComponent:
+    """A component as pixels ask for it."""
+    return SeenComponent(part.brdf.packed() if isinstance(part.brdf, SpatialLobes) else part.brdf, part.weight)
 
 
 @jax.jit
@@ -204,7 +218,7 @@ def _framed(normal, tangent, omega_o):
 
 def _at(brdf, uv: Float[Array, "2"], texels: Texels, reflected):
     """What is reflected, by a function of a BRDF, at texture coordinates."""
-    if not isinstance(brdf, SpatialLobes):
+    if not isinstance(brdf, PackedLobes):
         return reflected(brdf)
     if texels == "parameters":
         return reflected(brdf.at(uv))
@@ -250,7 +264,7 @@ def prefiltered_radiance(
 
 
 @functools.partial(jax.jit, static_argnames="texels")
-def _lit(brdf: Brdf | SpatialLobes, weight, pixels: SurfacePixels, incident: Incident, visible, texels: Texels):
+def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Incident, visible, texels: Texels):
     def shade(frame, omega_o, uv, towards, irradiance, visible):
         omega_i = frame @ towards
         lit = (omega_i[2] > 0) & (omega_o[2] > 0) & (visible > 0)

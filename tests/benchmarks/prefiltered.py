@@ -152,9 +152,7 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
 
     scene = load_scene(shared("reference", "spot_lafortune.toml"))
     seen = look_at(dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size[0], height=size[1])))
-    parts = [part for part in seen.materials if not part.components[0].brdf.is_constant]
-    assert len(parts) == 1
-    part = parts[0]
+    part = next(part for part in seen.materials if part.name == "object")
     brdf, count = part.components[0].brdf, len(part.rays)
     some = np.sort(np.random.default_rng(0).choice(count, min(count, SUBSET), replace=False))
     few = jax.tree.map(lambda leaf: leaf[some], part.pixels)

@@ -29,7 +29,7 @@ from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.lighting.prefiltered import Seen, look_at, prefiltered_radiance
+from jaxrelight.lighting.prefiltered import Seen, look_at, prefiltered_radiance, seen_component
 from jaxrelight.lights.local import directional, point
 from jaxrelight.lights.prefiltered import prefilter
 from tests.shared_data import shared
@@ -136,7 +136,7 @@ def test_reflectance_between_texels_is_the_mean_of_theirs():
     pair = SpatialLobes(**arrays, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (1, 2, 1)))
     ones = [SpatialLobes(*(leaf[:, i : i + 1] for leaf in jax.tree.leaves(pair))) for i in (0, 1)]
     middle = jnp.full((1, 2), 0.5)
-    lobes, weights = jax.vmap(pair.around)(middle)
+    lobes, weights = jax.vmap(pair.packed().around)(middle)
     np.testing.assert_allclose(weights.sum(), 1, rtol=1e-6)
     maps = prefilter(sky(), 64)
     eye, frame = jnp.asarray([0.6, 0, 0.8]), jnp.eye(3)
@@ -163,7 +163,7 @@ def test_gradients_in_lights_and_materials_are_right():
     maps = prefilter(sky(), 32)
 
     def brightness(light, lobes, rotate_y):
-        part = dataclasses.replace(seen.materials[0], components=(Component(lobes),))
+        part = dataclasses.replace(seen.materials[0], components=(seen_component(Component(lobes)),))
         mine = dataclasses.replace(seen, materials=(part,))
         return jnp.mean(mine.lit_by([light])) + jnp.mean(mine.under(maps, rotate_y))
 
