@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.test_util import check_grads
 
 from jaxrelight.basis import cubemap, latlong
 
@@ -215,3 +216,12 @@ def test_a_resampling_first_made_under_jit_can_be_used_afterwards():
     pixels = jnp.ones((6, 12, 3))
     jax.jit(lambda pixels: latlong.area_resampling(6, 12, 4).apply(pixels))(pixels)
     np.testing.assert_allclose(latlong.area_resampling(6, 12, 4).apply(pixels), 1, rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (12, 24)])
+def test_resizing_arrays_of_jax_is_the_same_and_differentiable(x64, shape):
+    pixels = np.random.default_rng(0).uniform(size=(6, 12, 2))
+    found = latlong.resized(jnp.asarray(pixels), *shape)
+    assert isinstance(found, jax.Array)
+    np.testing.assert_allclose(found, latlong.resized(pixels, *shape), rtol=1e-12)
+    check_grads(jax.jit(lambda p: latlong.resized(p, *shape)), (jnp.asarray(pixels),), order=1, modes=["rev"])

@@ -1,6 +1,7 @@
 """Lighting without transport: against another renderer, against exact transport, and laws."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +47,12 @@ def ball(brdf, camera: Camera = CAMERA) -> Scene:
     return Scene([Part(sphere(1, 24), "skin")], {"skin": brdf}, camera, name="ball")
 
 
+@functools.cache
+def filtered(finest: int):
+    """Of the sky below; made once for all tests."""
+    return prefilter(sky(), finest)
+
+
 def sky() -> np.ndarray:
     pixels = np.random.default_rng(0).uniform(0.05, 0.5, (16, 32, 3)).astype(np.float32)
     pixels[4, 6] = 20
@@ -70,7 +77,7 @@ def test_a_ball_is_lit_as_by_exact_transport_and_better_than_with_the_cosine_out
     scene = dataclasses.replace(ball(LAFORTUNE), environment=light)
     exact = Relighter.open(precompute(scene, Settings("pixels", 32, coefficients="all"), tmp_path).folder)
     truth = exact.image(light, exact.view(), background=False)
-    seen, maps = look_at(scene), prefilter(light.pixels, 128)
+    seen, maps = look_at(scene), filtered(128)
     cut, outside = (
         image_error(pictured(seen, seen.under(maps, light.rotate_y, light.scale, horizon)), truth)
         for horizon in ("cut", "outside")
@@ -91,7 +98,7 @@ def test_light_adds_up_and_scales():
     one, two = point([2, 3, 1], [5, 4, 3]), directional([-1, -1, 0], 2)
     both = seen.lit_by([one, two])
     np.testing.assert_allclose(both, seen.lit_by([one]) + seen.lit_by([two]), rtol=1e-5)
-    maps = prefilter(sky(), 32)
+    maps = filtered(32)
     np.testing.assert_allclose(seen.under(maps, 0, 3), 3 * seen.under(maps), rtol=1e-5)
 
 
@@ -122,11 +129,11 @@ def test_every_texel_has_its_own_lobes():
     same = lobe_sum(flat["diffuse"], [lobe(flat["C"][0], 30, peak=flat["scale"][0])])
     card = plane((3, 3), 2)
     scenes = [Scene([Part(card, "card")], {"card": brdf}, CAMERA) for brdf in (Material((Component(spatial),)), same)]
-    pictures = [seen.under(prefilter(sky(), 64)) + seen.lit_by([point([1, 2, 1], 3)]) for seen in map(look_at, scenes)]
+    pictures = [seen.under(filtered(64)) + seen.lit_by([point([1, 2, 1], 3)]) for seen in map(look_at, scenes)]
     np.testing.assert_allclose(*pictures, rtol=2e-3)
     bright = dataclasses.replace(scenes[0], materials={"card": Material((Component(_with_bright_corner(spatial)),))})
     seen = look_at(bright)
-    assert np.asarray(seen.under(prefilter(sky(), 64)) - pictures[0]).max() > 0.01
+    assert np.asarray(seen.under(filtered(64)) - pictures[0]).max() > 0.01
 
 
 def test_reflectance_between_texels_is_the_mean_of_theirs():
@@ -136,14 +143,13 @@ def test_reflectance_between_texels_is_the_mean_of_theirs():
     pair = SpatialLobes(**arrays, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (1, 2, 1)))
     ones = [SpatialLobes(*(leaf[:, i : i + 1] for leaf in jax.tree.leaves(pair))) for i in (0, 1)]
     middle = jnp.full((1, 2), 0.5)
-    lobes, weights = jax.vmap(pair.packed().around)(middle)
+    lobes, weights = jax.jit(jax.vmap(pair.packed().around))(middle)
     np.testing.assert_allclose(weights.sum(), 1, rtol=1e-6)
-    maps = prefilter(sky(), 64)
+    maps = filtered(64)
     eye, frame = jnp.asarray([0.6, 0, 0.8]), jnp.eye(3)
-    found = weights[0] @ jax.vmap(lambda one: prefiltered_radiance(one, eye, frame, maps))(
-        jax.tree.map(lambda leaf: leaf[0], lobes)
-    )
-    whole = [prefiltered_radiance(one.at(middle[0]), eye, frame, maps) for one in ones]
+    radiance = jax.jit(lambda one: prefiltered_radiance(one, eye, frame, maps))
+    found = weights[0] @ jax.vmap(radiance)(jax.tree.map(lambda leaf: leaf[0], lobes))
+    whole = [radiance(one.at(middle[0])) for one in ones]
     np.testing.assert_allclose(found, (whole[0] + whole[1]) / 2, rtol=1e-4)
     card = plane((3, 3), 2)
     seen = look_at(Scene([Part(card, "card")], {"card": Material((Component(pair),))}, CAMERA))
@@ -160,8 +166,9 @@ def _with_bright_corner(spatial: SpatialLobes) -> SpatialLobes:
 def test_gradients_in_lights_and_materials_are_right():
     scene = ball(LAFORTUNE)
     seen = look_at(scene)
-    maps = prefilter(sky(), 32)
+    maps = filtered(32)
 
+    @jax.jit
     def brightness(light, lobes, rotate_y):
         part = dataclasses.replace(seen.materials[0], components=(seen_component(Component(lobes)),))
         mine = dataclasses.replace(seen, materials=(part,))
@@ -184,7 +191,7 @@ def test_gradients_in_lights_and_materials_are_right():
 def test_what_is_no_sum_of_lobes_is_refused_under_an_environment_and_not_under_lamps():
     seen = look_at(ball(ashikhmin_shirley(0.3, 0.2, 10, 50)))
     with pytest.raises(InputError, match=r"\[material.skin\]: prefiltered environments are for sums of lobes"):
-        seen.under(prefilter(sky(), 32))
+        seen.under(filtered(32))
     assert np.asarray(seen.lit_by([point([2, 2, 2], 4.0)])).max() > 0
 
 
@@ -196,5 +203,5 @@ def test_exponents_and_peaks_at_the_extremes_are_finite():
             )
             brdf = dataclasses.replace(brdf, scale=jnp.full((1, 3), 0.1))
             seen = look_at(ball(brdf, dataclasses.replace(CAMERA, width=8, height=8)))
-            assert np.isfinite(seen.under(prefilter(sky(), 32))).all()
+            assert np.isfinite(seen.under(filtered(32))).all()
             assert np.isfinite(seen.lit_by([directional([0, -1, 0], 1)])).all()
