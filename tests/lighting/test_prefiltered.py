@@ -63,7 +63,7 @@ def pictured(seen: Seen, colour) -> np.ndarray:
     return np.concatenate([np.asarray(colour), seen.covered[..., None]], axis=-1, dtype=np.float32)
 
 
-@pytest.mark.parametrize("name", ["room_point", "room_spot"])
+@pytest.mark.parametrize("name", ["room_spot", pytest.param("room_point", marks=pytest.mark.slow)])
 def test_local_lights_with_shadows_are_those_of_another_renderer(name):
     scene = load_scene(shared("reference", f"{name}.toml"))
     seen = look_at(scene)

@@ -11,7 +11,7 @@ from jaxrelight.lights.environment import load_environment
 from jaxrelight.lights.prefiltered import exponents, prefilter
 from tests.shared_data import shared
 
-ENVIRONMENTS = "grace_latlong.exr", "blender_sunset.exr"
+ENVIRONMENTS = "grace_latlong.exr", pytest.param("blender_sunset.exr", marks=pytest.mark.slow)
 
 
 def sphere(count: int, seed: int = 0) -> np.ndarray:

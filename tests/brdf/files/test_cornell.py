@@ -92,6 +92,7 @@ def test_pairs_left_out_are_predicted():
     assert np.percentile(apart, 95) < 0.3
 
 
+@pytest.mark.slow
 def test_a_measured_file_goes_through_its_pairs():
     path = shared("data", "brdf", "cornell_garnet_red.brdf")
     found = load_brdf(path)
