@@ -20,6 +20,7 @@ from jaxrelight.geometry import primitives
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
+from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.lights.environment import Environment, load_environment
 from jaxrelight.lights.local import Light, directional, point, spot
 from jaxrelight.scene_materials import from_file, made_light, read_texture, weighted
@@ -67,6 +68,16 @@ class Scene:
         """What was mended and assumed while the scene was read, one line each."""
         lines = [f"{part.name}: {note}" for part in self.parts for note in part.mesh.notes]
         return (*lines, *self.assumptions, *(self.environment.notes if self.environment else ()))
+
+    def surfaces(self) -> Surfaces:
+        """All meshes as one. Directions in maps of BRDFs count from that of growing u, so their meshes' frames do."""
+        spatial = {name for name, surface in self.materials.items() if as_material(surface).is_spatial}
+        return join(
+            [
+                dataclasses.replace(part.mesh, uv_tangents=True) if part.material in spatial else part.mesh
+                for part in self.parts
+            ]
+        )
 
     def check_materials(self):
         """Refuses parts whose material is not given, or cannot be put on them.

@@ -7,6 +7,9 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
+# Beyond it a fit of lobes is called poor, too.
+_POOR = 0.25
+
 
 @dataclasses.dataclass(frozen=True)
 class Factors:
@@ -15,7 +18,7 @@ class Factors:
     A scene uses what is written as [material.NAME] with type = "fitted" and file = "FACTORS.npz".
     """
 
-    keeps: ClassVar[bool] = False
+    keeps: ClassVar[bool] = False  # of a run that was stopped
 
     file: tyro.conf.Positional[pathlib.Path]
     """A MERL .binary, RGL .bsdf or Cornell .brdf file."""
@@ -40,7 +43,7 @@ class Factors:
         """Runs the command."""
         start, seconds = time.perf_counter(), {}
         from fitting.brdf_samples import Grid, sample
-        from fitting.commands.values import known
+        from fitting.commands.values import known, percent
         from fitting.factors import refined
         from fitting.report import check_report, write_report
         from fitting.residual_by_angle import DEGREES, Residual
@@ -84,6 +87,8 @@ class Factors:
         # Turned about the normal, since the maps' texels are not alike all around.
         samples = sample(measured.brdf, Grid(rotations=5))
         residual = Residual(found, samples, weights("cosine", samples))
+        if (missed := residual.over()) > _POOR:
+            notes([f"the factors miss {percent(missed)} of the reflected light; ask for more --terms, or fit lobes"])
         summary = {
             "command": "factors",
             "data": str(self.file),
@@ -93,7 +98,7 @@ class Factors:
             "terms": found.light_maps.shape[0],
             "resolution": found.light_maps.shape[-1],
             "bytes": found.light_maps.nbytes + found.view_maps.nbytes,
-            "residual": known(residual.over()),
+            "residual": known(missed),
         }
         if change is not None:
             summary |= {"refined": {"before": change.before, "after": change.after}, "refining_steps": change.steps}

@@ -19,7 +19,7 @@ class Lafortune:
     A scene uses what is written as [material.NAME] with type = "fitted" and file = "NAME.toml".
     """
 
-    keeps: ClassVar[bool] = False
+    keeps: ClassVar[bool] = False  # of a run that was stopped
 
     file: tyro.conf.Positional[pathlib.Path]
     """A MERL .binary, RGL .bsdf or Cornell .brdf file."""

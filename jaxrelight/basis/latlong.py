@@ -32,6 +32,15 @@ def coordinates(direction: Float[np.ndarray, "... 3"]) -> tuple[np.ndarray, np.n
     return 0.5 - np.arctan2(x, z) / (2 * np.pi), np.arctan2(np.hypot(x, z), y) / np.pi
 
 
+def finite_coordinates(direction: Float[Array, "... 3"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """`coordinates` in JAX, with finite gradients, also at the poles."""
+    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
+    pole = (x == 0) & (z == 0)
+    longitude = jnp.arctan2(jnp.where(pole, 0, x), jnp.where(pole, 1, z))
+    across = jnp.where(pole, 0, jnp.hypot(jnp.where(pole, 1, x), z))
+    return 0.5 - longitude / (2 * np.pi), jnp.arctan2(across, jnp.where(pole & (y == 0), 1, y)) / np.pi
+
+
 def solid_angles(height: int, width: int) -> Float[np.ndarray, " h"]:
     """Solid angle of one pixel of each row, in steradians; `width` of them in every row sum to 4π."""
     edge = np.cos(np.linspace(0, np.pi, height + 1))

@@ -18,8 +18,9 @@ from jaxrelight.errors import InputError
 
 Form = Literal["svd", "symmetric", "normalised", "nonnegative"]
 
-# The paper's (0, 0) spends terms on grazing angles, where measured BRDFs are large and hardly show. Of powers that are
-# alike for light and view these are nearest in most pixels (`tests/benchmarks/pictures_by_terms.py`).
+# The paper's (0, 0) spends terms on grazing angles, where measured BRDFs are large and hardly show. More of the cosine
+# is nearer still in most pixels, and farther in the worst ones; unequal powers leave no symmetric form
+# (`tests/benchmarks/pictures_by_terms.py`: six BRDFs under eight environments).
 COSINE = (0.5, 0.5)
 
 # Pairs of directions that are evaluated at a time, bytes of a matrix in double precision, and of any.

@@ -36,7 +36,6 @@ def cut(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> CutLobe:
 
     From a table over n and p·N; finite and differentiable everywhere. p may lie below the horizon.
     """
-    along, up = _parts(peak)
     rows, columns = _PER_DOUBLING * _DOUBLINGS, _COSINES - 1
     row = jnp.clip(jnp.log2(jnp.maximum(exponent, 0) + 1) * _PER_DOUBLING, 0, rows)
     column = jnp.clip((peak[..., 2] + 1) / 2 * columns, 0, columns)
@@ -50,25 +49,25 @@ def cut(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> CutLobe:
     upper = (1 - right) * entry(0, 0) + right * entry(0, 1)
     lower = (1 - right) * entry(1, 0) + right * entry(1, 1)
     found = (1 - down) * upper + down * lower
-    moved = found[..., 1:2] * along + found[..., 2:3] * up
+    moved = found[..., 1:2] * peak + found[..., 2:3] * _upwards(peak)
     return CutLobe(jnp.exp(found[..., 0]), safe.normalize(moved), 2 ** (found[..., 3] / _PER_DOUBLING) - 1)
 
 
-def _parts(peak: Float[Array, "... 3"]) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:
-    """p, and the unit vector across it towards N."""
+def _upwards(peak: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """The unit vector across p towards N; the zero vector where p lies along it."""
     x, y, z = peak[..., 0], peak[..., 1], peak[..., 2]
     square = x**2 + y**2
     pole = square < 1e-12
     sine = jnp.sqrt(jnp.where(pole, 1, square))
     over = jnp.where(pole, 0, -z / sine)
-    return peak, jnp.stack([over * x, over * y, jnp.where(pole, 0, sine)], axis=-1)
+    return jnp.stack([over * x, over * y, jnp.where(pole, 0, sine)], axis=-1)
 
 
 @functools.cache
 def _table() -> Float[np.ndarray, "n c 4"]:
     """Logarithm of the share, mean along p and across it over its length, and n' by steps of n, by n and p·N.
 
-    With u = cos^{n+1} of the angle to p, the lobe's weight is even in u, and around p all integrals are closed forms.
+    The lobe weighs u = cos^{n+1} of the angle to p alike from 0 to 1, and integrals around p are closed forms.
     """
     exponent = 2 ** (np.arange(_PER_DOUBLING * _DOUBLINGS + 1)[:, None, None] / _PER_DOUBLING) - 1
     height = np.linspace(-1, 1, _COSINES)[None, :, None]

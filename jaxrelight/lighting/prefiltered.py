@@ -9,11 +9,10 @@ import functools
 from collections.abc import Sequence
 from typing import Literal
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxrelight import safe
 from jaxrelight.basis import latlong
@@ -23,11 +22,10 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, as_material
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight, look_up
-from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.frame import tangent_frame
-from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import OFFSET, Tracer
+from jaxrelight.lighting.pixels import Pixels, padded
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Incident, Light
 from jaxrelight.lights.prefiltered import Prefiltered
@@ -42,21 +40,15 @@ Horizon = Literal["cut", "outside"]
 Texels = Literal["parameters", "reflectance"]
 
 
-class SurfacePixels(eqx.Module):
-    """Pixels that see one material, padded to one of few lengths.
+class SurfacePixels(Pixels):
+    """Pixels that see a material, with what light needs to find it.
 
     Attributes:
-        pixel: place in the flattened image; past its end for padding.
         frame: rows tangent, binormal, normal.
-        omega_o: local direction to the eye.
-        uv: texture coordinates.
         position: in the world.
     """
 
-    pixel: Int[Array, " p"]
     frame: Float[Array, "p 3 3"]
-    omega_o: Float[Array, "p 3"]
-    uv: Float[Array, "p 2"]
     position: Float[Array, "p 3"]
 
 
@@ -178,7 +170,7 @@ def look_at(scene: Scene) -> Seen:
         InputError: for a part of a material that is not given, or one that needs texture coordinates on a mesh without.
     """
     scene.check_materials()
-    surfaces = join([part.mesh for part in scene.parts])
+    surfaces = scene.surfaces()
     names = [part.material for part in scene.parts]
     materials = {name: as_material(scene.materials[name]) for name in sorted(set(names))}
     tracer = Tracer(surfaces)
@@ -190,16 +182,16 @@ def look_at(scene: Scene) -> Seen:
     parts = []
     for number, name in enumerate(materials):
         mine = np.flatnonzero(seen == number)
-        pad = bucket(len(mine), 1024) - len(mine)
-
-        def padded(rows, fill=0.0, mine=mine, pad=pad):
-            wider = np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
-            return jnp.asarray(wider, jnp.int32 if wider.dtype.kind == "i" else jnp.float32)
-
         if len(mine):
-            frame, omega_o = _framed(*(padded(rows) for rows in (gbuffer.normals, gbuffer.tangents, gbuffer.omega_o)))
-            place = padded(pixel, gbuffer.covered.size)
-            pixels = SurfacePixels(place, frame, omega_o, padded(gbuffer.uv), padded(world))
+            directions = gbuffer.normals, gbuffer.tangents, gbuffer.omega_o
+            frame, omega_o = _framed(*(padded(rows, mine) for rows in directions))
+            pixels = SurfacePixels(
+                pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
+                uv=jax.device_put(padded(gbuffer.uv, mine)),
+                omega_o=omega_o,
+                frame=frame,
+                position=jax.device_put(padded(world, mine)),
+            )
             components = tuple(map(seen_component, materials[name].components))
             parts.append(SeenMaterial(name, components, pixels, lifted[mine]))
     return Seen(tuple(parts), gbuffer.covered, gbuffer.directions, surfaces.radius, tracer)

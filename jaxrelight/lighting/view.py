@@ -3,35 +3,28 @@
 import dataclasses
 import functools
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
-from jaxrelight.buckets import bucket
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import to_local
+from jaxrelight.lighting.pixels import Pixels, padded
 from jaxrelight.transport.load import Transport
 from jaxrelight.transport.normal_maps import see
 
 
-class MaterialPixels(eqx.Module):
-    """Pixels that see a block's material, padded to one of few lengths so that few shapes are compiled.
+class MaterialPixels(Pixels):
+    """Pixels that see a block's material.
 
     Attributes:
-        pixel: place in the flattened image; past its end for padding.
         receivers: numbers among the material's receivers: one, or the three corners of the face seen.
         weights: theirs.
-        uv: texture coordinates.
-        omega_o: local direction to the eye.
     """
 
-    pixel: Int[Array, " p"]
     receivers: Int[Array, "p b"]
     weights: Float[Array, "p b"]
-    uv: Float[Array, "p 2"]
-    omega_o: Float[Array, "p 3"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,23 +73,13 @@ def make_view(transport: Transport, camera: Camera) -> View:
         groups = block.groups
         mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
         first = groups[0] * transport.receivers.positions.shape[1]
-        pad = bucket(len(mine), 1024) - len(mine)
-
-        def padded(rows, fill=0, mine=mine, pad=pad):
-            return np.pad(rows[mine], ((0, pad), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
-
         directions = gbuffer.normals, gbuffer.tangents, gbuffer.omega_o
-        # Nothing is compiled to put arrays of NumPy in place.
         parts[block.material] = MaterialPixels(
-            *jax.device_put(
-                (
-                    padded(pixel, gbuffer.covered.size).astype(np.int32),
-                    padded(receivers - first).astype(np.int32),
-                    padded(weights).astype(np.float32),
-                    padded(gbuffer.uv).astype(np.float32),
-                )
-            ),
-            omega_o=_local(*(padded(v).astype(np.float32) for v in directions)),
+            pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
+            uv=jax.device_put(padded(gbuffer.uv, mine)),
+            omega_o=_local(*(padded(rows, mine) for rows in directions)),
+            receivers=jax.device_put(padded(receivers - first, mine)),
+            weights=jax.device_put(padded(weights, mine)),
         )
     return View(tuple(parts[name] for name in transport.names), gbuffer.covered, gbuffer.directions)
 

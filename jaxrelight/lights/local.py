@@ -1,5 +1,6 @@
 """Lights with a place or a direction: what arrives at points of the world. No rays are traced here."""
 
+import abc
 from typing import NamedTuple
 
 import equinox as eqx
@@ -28,9 +29,9 @@ class Incident(NamedTuple):
 class Light(eqx.Module):
     """A local light. `at` is pure and differentiable in positions and in the light's numbers."""
 
+    @abc.abstractmethod
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """What arrives at positions in the world."""
-        raise NotImplementedError
 
 
 class Point(Light):

@@ -5,7 +5,7 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.zonal import zonal_means
@@ -39,8 +39,8 @@ class Prefiltered(eqx.Module):
         lower = jnp.minimum(jnp.floor(level), len(self.heights) - 2)
         part = level - lower
         lower = lower.astype(jnp.int32)
-        u, v = _coordinates(direction)
-        return (1 - part) * self._at(lower, u, v) + part * self._at(lower + 1, u, v)
+        u, v = latlong.finite_coordinates(direction)
+        return (1 - part) * self.at_level(lower, u, v) + part * self.at_level(lower + 1, u, v)
 
     @property
     def most(self) -> float:
@@ -56,8 +56,8 @@ class Prefiltered(eqx.Module):
     def _starts(self) -> np.ndarray:
         return np.cumsum([0, *(2 * height**2 for height in self.heights[:-1])])
 
-    def _at(self, level, u, v):
-        """A map at image coordinates, bilinearly; beyond a pole lies the other side of it."""
+    def at_level(self, level: Int[Array, ""], u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, " c"]:
+        """One map at image coordinates, bilinearly; beyond a pole lies the other side of it."""
         height = jnp.asarray(self.heights, jnp.int32)[level]
         start = jnp.asarray(self._starts, jnp.int32)[level]
         x, y = u * (2 * height) - 0.5, v * height - 0.5
@@ -100,12 +100,3 @@ def prefilter(pixels: Float[Array | np.ndarray, "h w c"], finest: int = 512, equ
     resized = {height: jnp.asarray(latlong.resized(pixels, height, 2 * height)) for height in sorted({*heights})}
     maps = [zonal_means(resized[height], n) for height, n in zip(heights, exponents(), strict=True)]
     return Prefiltered(jnp.concatenate([one.reshape(-1, one.shape[-1]) for one in maps]), tuple(heights))
-
-
-def _coordinates(direction: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """`latlong.coordinates` with finite gradients, also at the poles."""
-    x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
-    pole = (x == 0) & (z == 0)
-    longitude = jnp.arctan2(jnp.where(pole, 0, x), jnp.where(pole, 1, z))
-    across = jnp.where(pole, 0, jnp.hypot(jnp.where(pole, 1, x), z))
-    return 0.5 - longitude / (2 * np.pi), jnp.arctan2(across, jnp.where(pole & (y == 0), 1, y)) / np.pi

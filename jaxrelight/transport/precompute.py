@@ -30,7 +30,7 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
-from jaxrelight.geometry.surfaces import Surfaces, join
+from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.sparse_rows import smallest_index_type
@@ -97,7 +97,7 @@ def precompute(
                     f"{scene.name}: '{part.material}' has a BRDF for every texel, which vertices cannot hold yet; "
                     "ask for --receivers pixels"
                 )
-        surfaces = join([part.mesh for part in scene.parts])
+        surfaces = scene.surfaces()
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
         shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]

@@ -6,7 +6,7 @@ import time
 from tests.benchmarks.measuring import Report, percent, shared
 
 LOBES = 1, 2, 3
-# By name: whether lobes may differ along and across the tangent, and by channel.
+# By name: whether channels share C and exponents.
 KINDS = {"shared": {}, "by channel": {"per_channel": True}}
 
 

@@ -242,8 +242,7 @@ def _sampled(brdf, pixels, sky, count: int):
 
         def one(numbers):
             omega_i = sampler.at(*((numbers + turn) % 1))
-            x, y, z = omega_i @ frame
-            u, v = 0.5 - jnp.arctan2(x, z) / (2 * np.pi), jnp.arccos(jnp.clip(y, -1, 1)) / np.pi
+            u, v = latlong.finite_coordinates(omega_i @ frame)
             density = sampler.pdf(omega_i)
             value = brdf.evaluate(omega_i, omega_o) * jnp.maximum(omega_i[2], 0) / density
             if not isinstance(sky, Prefiltered):
@@ -253,7 +252,7 @@ def _sampled(brdf, pixels, sky, count: int):
             level = jnp.clip(level, 0, len(sky.heights) - 1.001)
             lower = jnp.floor(level).astype(jnp.int32)
             part = level - lower
-            return value * ((1 - part) * sky._at(lower, u, v) + part * sky._at(lower + 1, u, v))
+            return value * ((1 - part) * sky.at_level(lower, u, v) + part * sky.at_level(lower + 1, u, v))
 
         return jnp.where(omega_o[2] > 0, jnp.mean(jax.vmap(one)(lattice), axis=0), 0)
 

@@ -25,6 +25,7 @@ def published(name: str):
     return lobe_sum(material["diffuse"], lobes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["clay", "skin", "felt", "primer", "bluepaint", "brushedmetal"])
 def test_a_published_material_is_recovered_to_its_noise(name):
     exact = sample(published(name))
@@ -87,6 +88,7 @@ def test_an_anisotropic_material_needs_an_anisotropic_lobe():
     np.testing.assert_array_equal(even.brdf.C[..., 0], even.brdf.C[..., 1])
 
 
+@pytest.mark.slow
 def test_another_model_is_fitted_as_far_as_lobes_can():
     material = ashikhmin_shirley([0.3, 0.2, 0.1], 0.05, 60, 60)
     one, two = (fit_lafortune(material, Options(lobes=n), grid=COARSE).residual for n in (1, 2))

@@ -61,6 +61,7 @@ def test_known_lobes_come_back():
     np.testing.assert_allclose(fit.level.lobes.diffuse, truth.diffuse, atol=0.005)
 
 
+@pytest.mark.slow
 def test_images_held_out_are_predicted_to_the_noise_and_better_than_by_lambert():
     stack = _stack(noise=0.02)
     held = np.arange(60) % 6 == 3

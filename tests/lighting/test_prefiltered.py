@@ -136,6 +136,26 @@ def test_every_texel_has_its_own_lobes():
     assert np.asarray(seen.under(filtered(64)) - pictures[0]).max() > 0.01
 
 
+def test_directions_of_anisotropy_follow_the_texture_coordinates():
+    """Texture coordinates turned by a quarter turn the highlights as the map's own directions do."""
+    card = plane((3, 3), 2)
+    assert card.uv is not None
+    turned = dataclasses.replace(card, uv=np.stack([card.uv[:, 1], 1 - card.uv[:, 0]], axis=1))
+    lamp = [point([0.5, 1, 1], 3)]
+
+    def brushed(mesh, cos2: float) -> np.ndarray:
+        one = (jnp.zeros((1, 1, 3)), [[[[-1, -0.3, 0.9]]]], [[[20]]], [[[[1, 1, 1]]]], [[[cos2, 0]]])
+        spatial = SpatialLobes(*(jnp.asarray(part, jnp.float32) for part in one))
+        scene = Scene([Part(mesh, "card")], {"card": Material((Component(spatial),))}, CAMERA)
+        assert scene.surfaces().uv_tangents.all()
+        return np.asarray(look_at(scene).lit_by(lamp))
+
+    np.testing.assert_allclose(brushed(turned, 1), brushed(card, -1), atol=1e-5)
+    assert np.abs(brushed(card, 1) - brushed(card, -1)).max() > 0.05
+    others = Scene([Part(card, "card")], {"card": LAFORTUNE}, CAMERA)
+    assert not others.surfaces().uv_tangents.any()
+
+
 def test_reflectance_between_texels_is_the_mean_of_theirs():
     """A card of two texels, a sharp lobe and a soft one: in the middle of the card both are seen half."""
     tiles = {"diffuse": [[0.2] * 3] * 2, "C": [[[-1, -1, 1]]] * 2, "exponent": [[2], [300]], "scale": [[[0.3] * 3]] * 2}

@@ -84,6 +84,14 @@ def test_factors_are_those_of_the_material(folder, run, form):
     assert 0 < summary["residual"] < 1
 
 
+def test_factors_that_miss_much_say_so(folder, run):
+    short = "factors", "paint.bsdf", "-o", "paint.npz", "--resolution", "16", "--terms"
+    missed = summary_of(run(*short, "1", "--json"))["residual"]
+    _, _, err = run(*short, "1")
+    assert missed > 0.25
+    assert f"the factors miss {100 * missed:.3g} % of the reflected light; ask for more --terms" in err
+
+
 def test_an_error_asks_for_as_few_terms_as_it_takes(folder, run):
     dials = "--resolution", "8", "--terms", "40", "--json"
     few, more = (

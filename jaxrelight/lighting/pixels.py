@@ -1,0 +1,31 @@
+"""Pixels that see one material, as arrays of one of few lengths, so that few shapes are compiled."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrelight.buckets import bucket
+
+
+class Pixels(eqx.Module):
+    """What every way to light needs of them.
+
+    Attributes:
+        pixel: place in the flattened image; past its end for padding.
+        uv: texture coordinates.
+        omega_o: local direction to the eye.
+    """
+
+    pixel: Int[Array, " p"]
+    uv: Float[Array, "p 2"]
+    omega_o: Float[Array, "p 3"]
+
+
+def padded(rows: np.ndarray, mine: Int[np.ndarray, " m"], fill: int = 0) -> np.ndarray:
+    """Some rows of an array in single precision, followed by rows of `fill` up to the length of a bucket.
+
+    NumPy's, so that nothing is compiled to put them in place.
+    """
+    more = bucket(len(mine), 1024) - len(mine)
+    wider = np.pad(rows[mine], ((0, more), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
+    return wider.astype(np.int32 if wider.dtype.kind == "i" else np.float32)
