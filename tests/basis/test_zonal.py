@@ -31,6 +31,16 @@ def test_means_are_the_sums_over_all_directions(exponent, height):
     np.testing.assert_allclose(found, wanted, rtol=2e-4 if exponent else 3e-2)
 
 
+def test_a_sharp_kernel_is_followed_as_far_as_it_goes():
+    """Over a fine map only the rows near by are looked at."""
+    pixels, omega = sky(128), directions(128)
+    some = np.random.default_rng(1).choice(len(omega), 40, replace=False)
+    kernel = np.maximum(omega[some] @ omega.T, 0) ** 400 * np.repeat(latlong.solid_angles(128, 256), 256)
+    wanted = (kernel / kernel.sum(axis=1, keepdims=True)) @ pixels.reshape(-1, 3)
+    found = np.asarray(zonal_means(jnp.asarray(pixels), 400.0)).reshape(-1, 3)[some]
+    np.testing.assert_allclose(found, wanted, rtol=2e-4)
+
+
 @pytest.mark.parametrize("exponent", [0, 0.3, 20, 1e4])
 def test_a_constant_stays_and_nothing_becomes_negative(exponent):
     np.testing.assert_allclose(zonal_means(jnp.full((32, 64, 1), 3.0), exponent), 3, rtol=1e-5)

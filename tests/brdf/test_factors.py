@@ -14,10 +14,14 @@ from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.factors import COSINE, factor
+from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.parametrisation import DISC, POLAR
+from jaxrelight.brdf.sampling import directional_albedo
+from jaxrelight.brdf.separable import separable
 from jaxrelight.brdf.singular import largest_singular
 from jaxrelight.errors import InputError
+from tests.shared_data import shared
 
 SIDE = 8
 
@@ -238,6 +242,17 @@ def test_by_default_some_of_the_cosine_is_folded_in_and_light_and_view_are_alike
     given = factor(ANISOTROPIC, 3, SIDE, cosine=COSINE)
     np.testing.assert_array_equal(given.light_maps, factor(ANISOTROPIC, 3, SIDE).light_maps)
     assert np.abs(given.light_maps - factor(ANISOTROPIC, 3, SIDE, cosine=(0, 0)).light_maps).max() > 0.1
+
+
+def test_by_default_a_measured_paint_keeps_its_light():
+    """It is largest at grazing angles, which took all terms if they counted as much as they are large."""
+    paint = load_brdf(shared("data", "brdf", "rgl_cc_ibiza_sunset_rgb.bsdf")).brdf
+    omega_o = jnp.asarray([0.48, 0, 0.8773])
+    reflected = jax.jit(lambda brdf: directional_albedo(brdf, omega_o)[0])
+    little, some = (separable(factors) for factors in (factor(paint, 4, 24, cosine=(0.25, 0.25)), factor(paint, 4, 24)))
+    whole, plain, few = (float(reflected(brdf)) for brdf in (paint, little, some))
+    assert plain < 0.01 * whole
+    assert 0.7 * whole < few < 1.3 * whole
 
 
 def test_folding_the_cosine_in_lowers_the_error_that_it_weighs():

@@ -6,7 +6,7 @@ import pytest
 from jaxrelight import read_image, write_image
 from tests.commands.running import SCENE, refusal_of, run, summary_of
 
-LIGHT = '[[light]]\ntype = "spot"\nposition = [1, 2, 1]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
+LIGHT = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
 DARK = SCENE.replace('[environment]\nfile = "sky.exr"\n', "")
 
 
@@ -32,7 +32,9 @@ def picture(name: str, *dials) -> np.ndarray:
 def test_environment_and_lights_add_up():
     np.testing.assert_allclose(picture("both"), picture("sky") + picture("lamp"), rtol=2e-3, atol=1e-4)
     np.testing.assert_array_equal(picture("lamp", "--texels", "reflectance"), picture("lamp"))
+    np.testing.assert_allclose(picture("sky", "--scale", "3"), 3 * picture("sky"), rtol=1e-5)
     assert (picture("lamp", "--no-shadows") >= picture("lamp")).all()
+    assert (picture("lamp", "--no-shadows") > picture("lamp")).any()
 
 
 def test_the_note_says_what_is_left_out():

@@ -26,9 +26,12 @@ from jaxrelight import (
     read_image,
     sphere,
 )
+from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.mesh import transformed
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lighting.prefiltered import Seen, look_at, prefiltered_radiance, seen_component
 from jaxrelight.lights.local import directional, point
@@ -93,6 +96,13 @@ def test_turning_the_map_is_turning_its_pixels():
     np.testing.assert_allclose(seen.under(prefilter(pixels, 64), 90), turned, rtol=2e-3, atol=1e-4)
 
 
+def test_the_background_is_the_map_as_it_is_turned():
+    seen, light = look_at(ball(LAFORTUNE)), environment(sky(), 90, 2)
+    turned = environment(2 * np.roll(sky(), -8, axis=1))
+    np.testing.assert_allclose(seen.background(light), seen.background(turned), rtol=1e-6)
+    assert np.asarray(seen.background(light)).std() > 0.01
+
+
 def test_light_adds_up_and_scales():
     seen = look_at(ball(LAFORTUNE))
     one, two = point([2, 3, 1], [5, 4, 3]), directional([-1, -1, 0], 2)
@@ -110,6 +120,40 @@ def test_shadows_only_take_away_and_can_be_left_out():
     assert (with_shadows <= without).all()
     dark = np.asarray((with_shadows == 0) & (without > 0)).any(axis=-1)
     assert 0.02 < dark.mean() < 0.5
+
+
+def test_what_stands_behind_a_lamp_casts_no_shadow():
+    """In a scene whose own unit is ten metres."""
+    floor = plane((20, 20), 1)
+    roof = transformed(plane((20, 20), 1), np.diag([1.0, -1, -1, 1]) + np.eye(4)[1][:, None] * [0, 0, 0, 4])
+    camera = dataclasses.replace(CAMERA, origin=(0.2, 1.5, 3.0))
+    lamp = [point([0.0, 2, 0], 3)]
+    alone, under = (
+        look_at(Scene([Part(mesh, "skin") for mesh in meshes], {"skin": phong(0.5, 0, 1)}, camera)).lit_by(lamp)
+        for meshes in ([floor], [floor, roof])
+    )
+    assert (np.asarray(alone)[-1] > 0).all()
+    np.testing.assert_allclose(under[-1], alone[-1], rtol=1e-4)
+
+
+def test_lobes_of_each_channel_are_seen_in_that_channel():
+    peaks = np.array([[0.3, 0.2, 0.4]])
+    C = jnp.asarray([[[-1, -1, 1], [-1, -1, 0.6], [-0.7, -0.9, 1.0]]])
+    exponent, diffuse = jnp.asarray([[3.0, 40, 200]]), jnp.asarray([0.1, 0.2, 0.3])
+    eye, maps = jnp.asarray([0.48, 0.36, 0.8]), filtered(64)
+    radiance = jax.jit(lambda brdf: prefiltered_radiance(brdf, eye, jnp.eye(3), maps))
+    together = radiance(LobeSum(diffuse, C, exponent, jnp.asarray(peaks)))
+    for c in range(3):
+        alone = LobeSum(diffuse, C[:, c : c + 1], exponent[:, c : c + 1], jnp.asarray(peaks))
+        np.testing.assert_allclose(together[c], radiance(alone)[c], rtol=1e-5)
+
+
+def test_weights_multiply_what_is_reflected():
+    share = (Texture(jnp.asarray([[[0.25, 0.5, 1.0]]])),)
+    whole, less = (look_at(ball(Material((Component(LAFORTUNE, weight),)))) for weight in ((), share))
+    lamp, factors = [point([2, 3, 1], 5)], np.array([0.25, 0.5, 1.0])
+    np.testing.assert_allclose(less.lit_by(lamp), whole.lit_by(lamp) * factors, rtol=1e-5)
+    np.testing.assert_allclose(less.under(filtered(32)), whole.under(filtered(32)) * factors, rtol=1e-5)
 
 
 def test_a_ray_is_blocked_only_by_what_is_nearer_than_the_light():
@@ -218,10 +262,8 @@ def test_what_is_no_sum_of_lobes_is_refused_under_an_environment_and_not_under_l
 def test_exponents_and_peaks_at_the_extremes_are_finite():
     for exponent in (0, 1e-3, 1e4, 1e6):
         for C in ([-1, -1, 1], [-2, -2, 1.5], [0.5, 0.5, -1], [0, 0, 0]):
-            brdf = dataclasses.replace(
-                LAFORTUNE, C=jnp.asarray([[C]], jnp.float32), exponent=jnp.full((1, 1), exponent)
-            )
-            brdf = dataclasses.replace(brdf, scale=jnp.full((1, 3), 0.1))
+            lobes = jnp.asarray([[C]], jnp.float32), jnp.full((1, 1), exponent, jnp.float32), jnp.full((1, 3), 0.1)
+            brdf = LobeSum(LAFORTUNE.diffuse, *lobes)
             seen = look_at(ball(brdf, dataclasses.replace(CAMERA, width=8, height=8)))
             assert np.isfinite(seen.under(filtered(32))).all()
             assert np.isfinite(seen.lit_by([directional([0, -1, 0], 1)])).all()
