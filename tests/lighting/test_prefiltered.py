@@ -138,7 +138,7 @@ def test_what_stands_behind_a_lamp_casts_no_shadow():
 
 def test_lobes_of_each_channel_are_seen_in_that_channel():
     peaks = np.array([[0.3, 0.2, 0.4]])
-    C = jnp.asarray([[[-1, -1, 1], [-1, -1, 0.6], [-0.7, -0.9, 1.0]]])
+    C = jnp.asarray([[[-1.0, -1, 1], [1, 1, 1], [-1, 1, 1]]])
     exponent, diffuse = jnp.asarray([[3.0, 40, 200]]), jnp.asarray([0.1, 0.2, 0.3])
     eye, maps = jnp.asarray([0.48, 0.36, 0.8]), filtered(64)
     radiance = jax.jit(lambda brdf: prefiltered_radiance(brdf, eye, jnp.eye(3), maps))
