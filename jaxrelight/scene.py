@@ -365,7 +365,7 @@ def _material(table: Table, folder: pathlib.Path) -> tuple[Brdf | Material, list
             if isinstance(brdf, Separable) and table.has("terms"):
                 raise InputError("'terms' are those of the file of factors; remove it, or fit factors anew")
         elif kind == "sbrdf":
-            brdf = spatial(read_sbrdf(folder / table.text("maps"))[0])
+            brdf = spatial(read_sbrdf(folder / table.text("maps")))
         else:
             raise InputError(f"type '{kind}' is not known; known are {_TYPES}")
     except InputError as error:

@@ -36,7 +36,7 @@ def read_texture(picture: Picture, *, data: bool = False) -> Texture:
         raise InputError(f"{picture}: a texture needs pixels that are finite and not negative; repair the image")
     if data and picture.suffix.lower() in (".png", ".jpg", ".jpeg"):
         pixels = srgb_encode(pixels)
-    return Texture(jnp.asarray(pixels, jnp.float32))
+    return Texture(jnp.asarray(pixels, jnp.float32)).minified()
 
 
 def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]:
@@ -98,4 +98,4 @@ def from_file(described: FileMaterial | None) -> tuple[Brdf | Material, list[str
 
 def _tinted(image: Texture | None, colour: np.ndarray) -> Texture:
     """An image times a colour; the colour alone without one."""
-    return constant(colour) if image is None else Texture(image.pixels * jnp.asarray(colour, jnp.float32))
+    return constant(colour) if image is None else Texture(image.pixels * jnp.asarray(colour, jnp.float32)).minified()

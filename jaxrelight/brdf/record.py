@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,9 +28,10 @@ def to_record(brdf: Brdf | SpatialLobes, keep: Callable[[np.ndarray], str]) -> d
             return {"layer": keep(array)}
         return {"shape": list(array.shape), "values": array.ravel().tolist()}
 
-    arrays = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf)}
+    arrays = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf) if field.name != "coarser"}
+    coarser = [to_record(level, keep) for level in getattr(brdf, "coarser", ())]
     entries = {name: entry(np.asarray(array)) for name, array in arrays.items() if array is not None}
-    return {"kind": type(brdf).__name__, "arrays": entries}
+    return {"kind": type(brdf).__name__, "arrays": entries} | ({"coarser": coarser} if coarser else {})
 
 
 def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float32) -> Brdf | SpatialLobes:
@@ -38,6 +40,7 @@ def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float
     def array(entry: dict) -> np.ndarray:
         return kept(entry["layer"]) if "layer" in entry else np.reshape(entry["values"], entry["shape"])
 
-    return _KINDS[record["kind"]](
-        **{name: jnp.asarray(array(entry), dtype) for name, entry in record["arrays"].items()}
-    )
+    arrays: dict[str, Any] = {name: jnp.asarray(array(entry), dtype) for name, entry in record["arrays"].items()}
+    if "coarser" in record:
+        arrays["coarser"] = tuple(from_record(level, kept, dtype) for level in record["coarser"])
+    return _KINDS[record["kind"]](**arrays)

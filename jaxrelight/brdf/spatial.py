@@ -1,12 +1,16 @@
 """Spatial BRDFs: a Lafortune BRDF of its own in every texel of a map (McAllister 2002 §3)."""
 
+from typing import Literal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.texture import Texture
+from jaxrelight.brdf.texture import Footprint, Texture
+
+Minification = Literal["levels", "averaged", "none"]
 
 
 class SpatialLobes(eqx.Module):
@@ -20,6 +24,7 @@ class SpatialLobes(eqx.Module):
         exponent: n.
         scale: of each lobe at its peak.
         axis: (cos 2φ, sin 2φ), φ the angle from the tangent to the direction of anisotropy, which π turns into itself.
+        coarser: levels of detail for surfaces far away, each of 2×2 texels of the one before; none may be given.
     """
 
     diffuse: Float[Array, "h w c"]
@@ -27,6 +32,7 @@ class SpatialLobes(eqx.Module):
     exponent: Float[Array, "h w l"]
     scale: Float[Array, "h w l c"]
     axis: Float[Array, "h w 2"]
+    coarser: "tuple[SpatialLobes, ...]" = eqx.field(default=(), kw_only=True)
 
     @property
     def channels(self) -> int:
@@ -48,17 +54,32 @@ class SpatialLobes(eqx.Module):
         """(rows, columns) of texels."""
         return self.diffuse.shape[0], self.diffuse.shape[1]
 
-    def packed(self) -> "PackedLobes":
-        """All parameters of a texel side by side, for many look-ups. Differentiable in the maps."""
-        h, w, lobes, _ = self.C.shape
-        logarithm = jnp.log(jnp.maximum(self.exponent, 1e-6))
-        maps = [self.diffuse, self.C, logarithm, self.scale, self.axis]
-        whole = Texture(jnp.concatenate([part.reshape(h, w, -1) for part in maps], axis=-1))
-        return PackedLobes(whole, lobes, self.channels)
+    def packed(self, minification: Minification = "levels") -> "PackedLobes":
+        """All parameters of a texel side by side, for many look-ups. Differentiable in the maps.
 
-    def at(self, uv: Float[Array, "*p 2"]) -> LobeSum:
+        Args:
+            minification: what is seen of texels that are smaller than the picture's pixels: coarser "levels", as far as
+                there are any; the "averaged" parameters of 2×2 texels and so on; or "none", single texels all the same.
+        """
+        finest = _side_by_side(self)
+        if minification == "averaged":
+            texture = Texture(finest).minified()
+        elif minification == "levels" and self.coarser:
+            flat = [_side_by_side(level).reshape(-1, finest.shape[-1]) for level in self.coarser]
+            texture = Texture(finest, jnp.concatenate(flat))
+        else:
+            texture = Texture(finest)
+        return PackedLobes(texture, self.lobes, self.channels)
+
+    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates, see `PackedLobes.at`."""
-        return self.packed().at(uv)
+        return self.packed().at(uv, footprint)
+
+
+def _side_by_side(maps: SpatialLobes) -> Float[Array, "h w p"]:
+    logarithm = jnp.log(jnp.maximum(maps.exponent, 1e-6))
+    parts = [maps.diffuse, maps.C, logarithm, maps.scale, maps.axis]
+    return jnp.concatenate([part.reshape(*maps.shape, -1) for part in parts], axis=-1)
 
 
 class PackedLobes(eqx.Module):
@@ -74,13 +95,30 @@ class PackedLobes(eqx.Module):
     lobes: int = eqx.field(static=True)
     channels: int = eqx.field(static=True)
 
-    def at(self, uv: Float[Array, "*p 2"]) -> LobeSum:
+    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
-        Parameters are interpolated between texels: C by components and then to max|C| = 1 again, exponents by their
-        logarithms, which spread a highlight evenly.
+        Parameters are interpolated between texels and levels: C by components and then to max|C| = 1 again, exponents
+        by their logarithms, which spread a highlight evenly.
+
+        Args:
+            uv: texture coordinates.
+            footprint: the area of them that a pixel of the picture covers.
         """
-        flat = jax.vmap(self.texture.look_up)(uv.reshape(-1, 2)).reshape(*uv.shape[:-1], -1)
+        covered = jnp.broadcast_to(jnp.asarray(footprint, uv.dtype), uv.shape[:-1])
+        flat = jax.vmap(self.texture.look_up)(uv.reshape(-1, 2), covered.reshape(-1))
+        return self._lobes(flat.reshape(*uv.shape[:-1], -1))
+
+    def around(self, uv: Float[Array, "2"], footprint: Footprint = 0.0) -> tuple[LobeSum, Float[Array, " m"]]:
+        """The BRDFs of the texels around texture coordinates, four of a level, and their weights.
+
+        The weighted sum of what they reflect is reflectance interpolated, where `at` interpolates parameters.
+        """
+        texels, weights = zip(*self.texture.around(uv, footprint), strict=True)
+        return self._lobes(jnp.stack(texels)), jnp.stack(weights)
+
+    def _lobes(self, flat: Float[Array, "*p t"]) -> LobeSum:
+        """The BRDFs of packed parameters."""
         c, lobes = self.channels, self.lobes
         diffuse, C, logarithm, scale, axis = jnp.split(
             flat, [c, c + 3 * lobes, c + 4 * lobes, (c + 4) * lobes + c], axis=-1
@@ -91,15 +129,3 @@ class PackedLobes(eqx.Module):
         none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
         angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
         return LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], lobes, c), angle)
-
-    def around(self, uv: Float[Array, "2"]) -> tuple[LobeSum, Float[Array, "4"]]:
-        """The BRDFs of the four texels around texture coordinates, and their bilinear weights.
-
-        The weighted sum of what they reflect is reflectance interpolated, where `at` interpolates parameters.
-        """
-        h, w = self.texture.pixels.shape[:2]
-        x, y = uv[0] * w - 0.5, (1 - uv[1]) * h - 0.5
-        left, top = jnp.floor(x), jnp.floor(y)
-        columns, rows = left + jnp.asarray([0, 1, 0, 1]), top + jnp.asarray([0, 0, 1, 1])
-        weights = jnp.maximum(1 - jnp.abs(x - columns), 0) * jnp.maximum(1 - jnp.abs(y - rows), 0)
-        return self.at(jnp.stack([(columns + 0.5) / w, 1 - (rows + 0.5) / h], axis=-1)), weights

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from jaxrelight.commands.options import LightOptions, PictureOptions
 
 if TYPE_CHECKING:
+    from jaxrelight.brdf.spatial import Minification
     from jaxrelight.lighting.prefiltered import Texels
     from jaxrelight.scene import Scene
 
@@ -18,6 +19,7 @@ def prefiltered_picture(
     *,
     shadows: bool,
     texels: "Texels",
+    minification: "Minification",
     seconds: dict[str, float],
 ) -> dict:
     """Lights a scene by its prefiltered environment and its local lights, writes the picture and says what it took.
@@ -29,6 +31,7 @@ def prefiltered_picture(
         picture: how it is written.
         shadows: whether local lights cast them.
         texels: what is interpolated between those of an SBRDF.
+        minification: what is seen of texels smaller than pixels, see `look_at`.
         seconds: by stage; what is done here is added.
 
     Raises:
@@ -51,7 +54,7 @@ def prefiltered_picture(
         notes(dict.fromkeys(environment.notes))
         notes(["prefiltered: the environment casts no shadows, and surfaces do not light each other"])
     with timed(seconds, "view"):
-        seen = look_at(scene)
+        seen = look_at(scene, minification)
     image = np.zeros((*seen.covered.shape, 3), np.float32)
     maps_bytes = 0
     if environment is not None:

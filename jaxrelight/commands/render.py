@@ -33,6 +33,9 @@ class Render:
     texels: Literal["parameters", "reflectance"] = "parameters"
     """What is interpolated between texels of an SBRDF under prefiltered lighting: 'reflectance' is right between unlike
     texels, and slower."""
+    minification: Literal["levels", "averaged", "none"] = "levels"
+    """What prefiltered lighting sees of an SBRDF whose texels are smaller than pixels: the coarser 'levels' that were
+    fitted to it, as far as the maps have any; 'averaged' parameters; or single texels."""
     dials: tyro.conf.OmitArgPrefixes[PrecomputeOptions] = PrecomputeOptions()
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
@@ -56,9 +59,10 @@ class Render:
 
         check_writable(self.output)
         if self.lighting == "transport":
-            for option, given in (("--no-shadows", not self.shadows), ("--texels", self.texels != "parameters")):
+            others = {"no-shadows": not self.shadows, "texels": self.texels != "parameters"}
+            for option, given in (others | {"minification": self.minification != "levels"}).items():
                 if given:
-                    raise InputError(f"{option} is a dial of --lighting prefiltered; leave it out")
+                    raise InputError(f"--{option} is a dial of --lighting prefiltered; leave it out")
         seconds = {}
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
@@ -95,7 +99,7 @@ class Render:
             if given != default:
                 raise InputError(f"--{name.replace('_', '-')} is a dial of --lighting transport; leave it out")
         notes(dict.fromkeys(scene.notes))
-        dials = {"shadows": self.shadows, "texels": self.texels}
+        dials = {"shadows": self.shadows, "texels": self.texels, "minification": self.minification}
         picture = prefiltered_picture(scene, self.light, self.output, self.picture, **dials, seconds=seconds)
         seconds["total"] = time.perf_counter() - start
         summarize({"command": "render", "lighting": "prefiltered", **picture, "seconds": seconds}, self.json)

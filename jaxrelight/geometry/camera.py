@@ -63,3 +63,9 @@ class Camera:
         y = (1 - (np.arange(self.height) + 0.5) * 2 / self.height) * half
         ray = forward + x[None, :, None] * right + y[:, None, None] * up
         return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+
+    def solid_angles(self) -> Float[np.ndarray, "h w"]:
+        """Of every pixel, in steradians: its area at distance 1 along the axis, times cos³ of its angle from it."""
+        forward = np.subtract(self.target, self.origin)
+        cosine = self.directions() @ (forward / np.linalg.norm(forward))
+        return (2 * np.tan(np.radians(self.fov_y) / 2) / self.height) ** 2 * cosine**3

@@ -9,6 +9,9 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 
+# Of a face seen nearly edge on, which covers no more of a texture than this says.
+_LEAST_COSINE = 1e-3
+
 
 @dataclasses.dataclass(frozen=True)
 class GBuffer:
@@ -25,6 +28,7 @@ class GBuffer:
         tangents: interpolated, see `Surfaces.tangents`.
         positions: in scene space.
         uv: texture coordinates.
+        footprint: area in texture coordinates that a pixel covers.
         mesh: number of the mesh seen.
         omega_o: unit direction back to the eye.
     """
@@ -39,6 +43,7 @@ class GBuffer:
     face_normals: Float[np.ndarray, "p 3"]
     tangents: Float[np.ndarray, "p 3"]
     uv: Float[np.ndarray, "p 2"]
+    footprint: Float[np.ndarray, " p"]
     mesh: Int[np.ndarray, " p"]
     omega_o: Float[np.ndarray, "p 3"]
 
@@ -63,17 +68,22 @@ def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer
     normal = np.where(length > 1e-9, normal / np.maximum(length, 1e-9), face_normal)
     back = surfaces.two_sided[mesh] & (np.sum(face_normal * flat[covered], axis=1) > 0)
     side = np.where(back, -1.0, 1.0)[:, None]
+    positions = interpolated(surfaces.vertices)
+    distance = np.linalg.norm(positions - origin[covered], axis=1)
+    cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))
+    seen = camera.solid_angles().reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
     return GBuffer(
         covered=covered.reshape(directions.shape[:2]),
         directions=directions,
         corners=corners,
         barycentric=weights,
         back=back,
-        positions=interpolated(surfaces.vertices),
+        positions=positions,
         normals=side * normal,
         face_normals=side * face_normal,
         tangents=interpolated(surfaces.tangents),
         uv=interpolated(surfaces.uv),
+        footprint=seen * surfaces.uv_densities(face),
         mesh=mesh,
         omega_o=-flat[covered],
     )

@@ -27,6 +27,7 @@ class Receivers:
         tangents: what tangent frames follow, see `tangent_frame`.
         omega_o: unit world direction to the eye for pixels, None for vertices.
         uv: texture coordinates for pixels, None for vertices.
+        footprint: area in texture coordinates that each pixel covers, None for vertices.
         material_of_group: number of each group's material.
         filled: receivers of each group that are not copies.
         slot_of: place in the flattened groups of each vertex, back of a vertex, or covered pixel.
@@ -38,6 +39,7 @@ class Receivers:
     tangents: Float[np.ndarray, "g m 3"]
     omega_o: Float[np.ndarray, "g m 3"] | None
     uv: Float[np.ndarray, "g m 2"] | None
+    footprint: Float[np.ndarray, "g m"] | None
     material_of_group: Int[np.ndarray, " g"]
     filled: Int[np.ndarray, " g"]
     slot_of: Int[np.ndarray, " v"]
@@ -62,13 +64,15 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
 
     face_normals = _vertex_face_normals(surfaces)
     normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
-    return _grouped(both(surfaces.vertices), normals, face_normals, both(surfaces.tangents), None, None, both(material))
+    return _grouped(
+        both(surfaces.vertices), normals, face_normals, both(surfaces.tangents), None, None, None, both(material)
+    )
 
 
 def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
     """Every covered pixel: the view is fixed and the BRDF exact."""
     material = np.asarray(material_of_mesh)[gbuffer.mesh]
-    directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o, gbuffer.uv
+    directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o, gbuffer.uv, gbuffer.footprint
     return _grouped(gbuffer.positions, *directions, material)
 
 
@@ -84,7 +88,7 @@ def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
     return np.where(length > 0, total / np.where(length > 0, length, 1), surfaces.normals)
 
 
-def _grouped(positions, normals, face_normals, tangents, omega_o, uv, material) -> Receivers:
+def _grouped(positions, normals, face_normals, tangents, omega_o, uv, footprint, material) -> Receivers:
     order = np.lexsort((_morton(positions), material))
     members, material_of_group, filled = [], [], []
     for number in np.unique(material):
@@ -99,7 +103,7 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, uv, material) 
     slot_of[member[::-1]] = np.arange(len(member))[::-1]
 
     def pick(values):
-        return values[member].reshape(-1, GROUP, values.shape[-1])
+        return values[member].reshape(-1, GROUP, *values.shape[1:])
 
     return Receivers(
         positions=pick(positions),
@@ -108,6 +112,7 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, uv, material) 
         tangents=pick(tangents),
         omega_o=None if omega_o is None else pick(omega_o),
         uv=None if uv is None else pick(uv),
+        footprint=None if footprint is None else pick(footprint),
         material_of_group=np.array(material_of_group, np.int64),
         filled=np.array(filled, np.int64),
         slot_of=slot_of,

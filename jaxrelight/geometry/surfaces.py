@@ -73,6 +73,13 @@ class Surfaces:
         asked = self.uv_tangents[self.mesh_of_vertex]
         return np.where(asked[:, None], self.u_axes[:, :3], 0) if asked.any() else np.zeros_like(self.vertices)
 
+    def uv_densities(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+        """Area in texture coordinates over area in scene space of some faces; 0 for those without area."""
+        corners, uv = self.vertices[self.faces[faces]], self.uv[self.faces[faces]]
+        (du, dv) = np.moveaxis(uv[:, 1:] - uv[:, :1], -1, 0)
+        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return np.abs(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0]) / np.where(area > 0, area, np.inf)
+
     def face_normals(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
         """Unit geometric normals of some faces; the zero vector for one that rounding left without area."""
         corners = self.vertices[self.faces[faces]]

@@ -13,11 +13,13 @@ class Pixels(eqx.Module):
     Attributes:
         pixel: place in the flattened image; past its end for padding.
         uv: texture coordinates.
+        footprint: the area of them that the pixel covers.
         omega_o: local direction to the eye.
     """
 
     pixel: Int[Array, " p"]
     uv: Float[Array, "p 2"]
+    footprint: Float[Array, " p"]
     omega_o: Float[Array, "p 3"]
 
 

@@ -20,7 +20,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.horizon import cut
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, as_material
-from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
+from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.frame import tangent_frame
@@ -163,8 +163,13 @@ class Seen:
         return jax.pure_callback(trace, shape, *given, vmap_method="sequential")
 
 
-def look_at(scene: Scene) -> Seen:
+def look_at(scene: Scene, minification: Minification = "levels") -> Seen:
     """Traces the pixels of a scene's camera.
+
+    Args:
+        scene: what to look at.
+        minification: of SBRDFs whose texels are smaller than pixels: the coarser "levels" that were fitted, as far as
+            maps have any; "averaged" parameters; or "none".
 
     Raises:
         InputError: for a part of a material that is not given, or one that needs texture coordinates on a mesh without.
@@ -188,18 +193,20 @@ def look_at(scene: Scene) -> Seen:
             pixels = SurfacePixels(
                 pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
                 uv=jax.device_put(padded(gbuffer.uv, mine)),
+                footprint=jax.device_put(padded(gbuffer.footprint, mine)),
                 omega_o=omega_o,
                 frame=frame,
                 position=jax.device_put(padded(world, mine)),
             )
-            components = tuple(map(seen_component, materials[name].components))
+            components = tuple(seen_component(part, minification) for part in materials[name].components)
             parts.append(SeenMaterial(name, components, pixels, lifted[mine]))
     return Seen(tuple(parts), gbuffer.covered, gbuffer.directions, surfaces.radius, tracer)
 
 
-def seen_component(part: Component) -> SeenComponent:
+def seen_component(part: Component, minification: Minification = "levels") -> SeenComponent:
     """A component as pixels ask for it."""
-    return SeenComponent(part.brdf.packed() if isinstance(part.brdf, SpatialLobes) else part.brdf, part.weight)
+    brdf = part.brdf
+    return SeenComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, part.weight)
 
 
 @jax.jit
@@ -208,14 +215,14 @@ def _framed(normal, tangent, omega_o):
     return frame, jnp.einsum("pxy,py->px", frame, omega_o, precision="highest")
 
 
-def _at(brdf, uv: Float[Array, "2"], texels: Texels, reflected):
+def _at(brdf, uv: Float[Array, "2"], footprint, texels: Texels, reflected):
     """What is reflected, by a function of a BRDF, at texture coordinates."""
     if not isinstance(brdf, PackedLobes):
         return reflected(brdf)
     if texels == "parameters":
-        return reflected(brdf.at(uv))
-    four, weights = brdf.around(uv)
-    return weights @ jax.vmap(reflected)(four)
+        return reflected(brdf.at(uv, footprint))
+    every, weights = brdf.around(uv, footprint)
+    return weights @ jax.vmap(reflected)(every)
 
 
 @functools.partial(jax.jit, static_argnames=("horizon", "texels"))
@@ -224,12 +231,14 @@ def _under(brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon
     cosine, sine = jnp.cos(turn), jnp.sin(turn)
     rotation = jnp.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
 
-    def shade(frame, omega_o, uv):
+    def shade(frame, omega_o, uv, footprint):
         turned = frame @ rotation.T
-        radiance = _at(brdf, uv, texels, lambda lobes: prefiltered_radiance(lobes, omega_o, turned, maps, horizon))
-        return jnp.where(omega_o[2] > 0, radiance * look_up(weight, uv), 0)
+        radiance = _at(
+            brdf, uv, footprint, texels, lambda lobes: prefiltered_radiance(lobes, omega_o, turned, maps, horizon)
+        )
+        return jnp.where(omega_o[2] > 0, radiance * look_up(weight, uv, footprint), 0)
 
-    given = pixels.frame, pixels.omega_o, pixels.uv
+    given = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint
     return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)
 
 
@@ -257,14 +266,14 @@ def prefiltered_radiance(
 
 @functools.partial(jax.jit, static_argnames="texels")
 def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Incident, visible, texels: Texels):
-    def shade(frame, omega_o, uv, towards, irradiance, visible):
+    def shade(frame, omega_o, uv, footprint, towards, irradiance, visible):
         omega_i = frame @ towards
         lit = (omega_i[2] > 0) & (omega_o[2] > 0) & (visible > 0)
         # Where nothing arrives the BRDF is asked at the normal, so that its gradients are finite.
         up = jnp.asarray([0, 0, 1], omega_i.dtype)
         pair = jnp.where(lit, omega_i, up), jnp.where(lit, omega_o, up)
-        value = _at(brdf, uv, texels, lambda one: one.evaluate(*pair))
-        return jnp.where(lit, value * look_up(weight, uv) * omega_i[2] * irradiance * visible, 0)
+        value = _at(brdf, uv, footprint, texels, lambda one: one.evaluate(*pair))
+        return jnp.where(lit, value * look_up(weight, uv, footprint) * omega_i[2] * irradiance * visible, 0)
 
-    given = pixels.frame, pixels.omega_o, pixels.uv, incident.omega_i, incident.irradiance, visible
+    given = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, incident.omega_i, incident.irradiance, visible
     return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)

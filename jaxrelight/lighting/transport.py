@@ -167,5 +167,5 @@ def _add_block(
     view = jax.vmap(reflection.view_side)(pixels.omega_o)
     # One-sided: nothing is seen from below the shading normal.
     radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
-    radiance = radiance * jax.vmap(look_up, in_axes=(None, 0))(weight, pixels.uv)
+    radiance = radiance * jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
     return image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)

@@ -77,6 +77,7 @@ def make_view(transport: Transport, camera: Camera) -> View:
         parts[block.material] = MaterialPixels(
             pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
             uv=jax.device_put(padded(gbuffer.uv, mine)),
+            footprint=jax.device_put(padded(gbuffer.footprint, mine)),
             omega_o=_local(*(padded(rows, mine) for rows in directions)),
             receivers=jax.device_put(padded(receivers - first, mine)),
             weights=jax.device_put(padded(weights, mine)),

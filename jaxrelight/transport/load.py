@@ -17,7 +17,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
-from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
@@ -341,15 +341,18 @@ def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.n
     if not isinstance(brdf, SpatialLobes):
         return FixedView(brdf, omega_o)
     assert receivers.uv is not None
+    assert receivers.footprint is not None
     with jax.ensure_compile_time_eval():
-        found = [_at(brdf, uv.astype(np.float32)) for uv in receivers.uv[groups]]
+        packed = jax.jit(SpatialLobes.packed)(brdf)
+        places = zip(receivers.uv[groups], receivers.footprint[groups], strict=True)
+        found = [_at(packed, uv.astype(np.float32), footprint.astype(np.float32)) for uv, footprint in places]
         own = jax.tree.map(lambda *parts: np.stack(parts), *found)
     return FixedView(jax.tree.map(lambda _: None, own), omega_o, own)
 
 
 @jax.jit
-def _at(brdf: SpatialLobes, uv: Float[Array, "m 2"]) -> Brdf:
-    return brdf.at(uv)
+def _at(brdf: PackedLobes, uv: Float[Array, "m 2"], footprint: Float[Array, " m"]) -> Brdf:
+    return brdf.at(uv, footprint)
 
 
 def _by_group(function, *arrays: Float[np.ndarray, "g m ..."]) -> Float[np.ndarray, "g m ..."]:
@@ -371,8 +374,13 @@ def read_factors(layer: store.Layer) -> Factored:
 def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
     """A texture from its layer, or a constant one from its values."""
     if isinstance(entry, str):
-        return Texture(jax.device_put(store.open_layer(folder / entry).read("pixels", 0)))
+        return _minified(store.open_layer(folder / entry).read("pixels", 0))
     return constant(entry)
+
+
+@jax.jit
+def _minified(pixels: Float[Array, "h w c"]) -> Texture:
+    return Texture(pixels).minified()
 
 
 def _read_table(folder: pathlib.Path, name: str) -> np.ndarray:

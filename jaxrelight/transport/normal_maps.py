@@ -21,14 +21,20 @@ _LEAST_COSINE = 0.05
 
 
 def bent(
-    normals: Float[np.ndarray, "p 3"], u_axes: Float[np.ndarray, "p 4"], uv: Float[np.ndarray, "p 2"], bumps: Texture
+    normals: Float[np.ndarray, "p 3"],
+    u_axes: Float[np.ndarray, "p 4"],
+    uv: Float[np.ndarray, "p 2"],
+    bumps: Texture,
+    footprint: Float[np.ndarray, " p"] | float = 0.0,
 ) -> Float[np.ndarray, "p 3"]:
     """Unit normals n' ∝ x s + y t + z n of a map that holds ((x, y, z) + 1)/2 in the frame of growing u and v.
 
     s is the direction of growing u made perpendicular to n, and t that of growing v. Where texture coordinates do not
     tell s, or the map has no direction, n stays.
     """
-    x, y, z = (2 * np.asarray(jax.vmap(bumps.look_up)(jnp.asarray(uv, jnp.float32)), float) - 1).T[:, :, None]
+    covered = jnp.broadcast_to(jnp.asarray(footprint, jnp.float32), len(uv))
+    found = jax.vmap(bumps.look_up)(jnp.asarray(uv, jnp.float32), covered)
+    x, y, z = (2 * np.asarray(found, float) - 1).T[:, :, None]
     along = u_axes[:, :3] - normals * np.sum(u_axes[:, :3] * normals, axis=1, keepdims=True)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along = along / np.where(length > 0, length, 1)
@@ -61,7 +67,9 @@ def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) ->
         mine = np.flatnonzero(gbuffer.mesh == number)
         if bumps is not None and len(mine):
             axes = np.einsum("pk,pkx->px", gbuffer.barycentric[mine], surfaces.u_axes[gbuffer.corners[mine]])
-            turned = side[mine] * bent(side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps)
+            turned = side[mine] * bent(
+                side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps, gbuffer.footprint[mine]
+            )
             omega_o = gbuffer.omega_o[mine]
             seen = np.minimum(_LEAST_COSINE, np.sum(normals[mine] * omega_o, axis=1, keepdims=True))
             turned += np.maximum(seen - np.sum(turned * omega_o, axis=1, keepdims=True), 0) * omega_o

@@ -116,7 +116,8 @@ def precompute(
         geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
 
     camera_key = dataclasses.astuple(scene.camera) if settings.receivers == "pixels" else None
-    bumps_key = [whole_key, *(np.asarray(b.pixels) if b else None for b in bumps)] if any(bumps) else None
+    footprint = seen.footprint if seen else None
+    bumps_key = [whole_key, footprint, *(np.asarray(b.pixels) if b else None for b in bumps)] if any(bumps) else None
     dials = settings.resolution, settings.visibility_samples, GROUP
     visibility_key = store.key_of(geometry_key, material_of_mesh, _plain(camera_key), *dials, bumps_key)
     directions = cubemap.directions(settings.resolution * settings.samples_per_side)
@@ -148,7 +149,7 @@ def precompute(
                 record["normal_map"] = bump
                 if settings.coefficients != "all":
                     # The name of the factors tells their number and their resolution.
-                    uv_key = store.key_of(surfaces.uv) if isinstance(brdf, SpatialLobes) else None
+                    uv_key = store.key_of(surfaces.uv, footprint) if isinstance(brdf, SpatialLobes) else None
                     same = visibility_key, number, described, factors, settings.coefficients, frames_key
                     key = store.key_of(*same, *([uv_key] if uv_key else []))
                     layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))

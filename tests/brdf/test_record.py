@@ -1,5 +1,6 @@
 """BRDFs as JSON and back, to the last bit."""
 
+import dataclasses
 import json
 
 import equinox as eqx
@@ -13,7 +14,9 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.record import from_record, to_record
 from jaxrelight.brdf.separable import Separable
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.tabulated import Tabulated
+from tests.brdf.test_spatial import maps
 
 BRDFS = {
     "lambert": lambda dtype: lobe_sum([0.1, 1 / 3, 0.7], [], dtype),
@@ -27,8 +30,13 @@ BRDFS = {
     "separable": lambda dtype: Separable(
         *(jnp.asarray(np.random.default_rng(i).random((2, c, 4, 4)), dtype) for i, c in enumerate((1, 3)))
     ),
+    "spatial": lambda dtype: jax.tree.map(lambda x: x.astype(dtype), with_level()),
     "ashikhmin_shirley": lambda dtype: ashikhmin_shirley([0.1, 1 / 3, 0.7], 0.2, 10 / 3, 1e4, dtype),
 }
+
+
+def with_level() -> SpatialLobes:
+    return dataclasses.replace(maps(3, 4), coarser=(maps(2, 2, seed=1),))
 
 
 def round_trip(brdf, dtype):

@@ -82,3 +82,34 @@ def test_a_material_of_maps_needs_texture_coordinates():
     material = Material((Component(maps()),))
     assert material.is_spatial
     assert material.needs_uv
+
+
+def test_levels_of_equal_texels_are_averaged_parameters():
+    whole = maps(4, 4, seed=3)
+    flat = jax.tree.map(lambda x: jnp.broadcast_to(x[:1, :1], x.shape), whole)
+    coarser = tuple(jax.tree.map(lambda x, n=n: x[:n, :n], flat) for n in (2, 1))
+    spatial = SpatialLobes(flat.diffuse, flat.C, flat.exponent, flat.scale, flat.axis, coarser=coarser)
+    uv = jnp.asarray([0.4, 0.7])
+    wanted = spatial.packed("none").at(uv).evaluate(*OMEGA)
+    for minification in ("levels", "averaged", "none"):
+        found = spatial.packed(minification).at(uv, jnp.asarray(0.3)).evaluate(*OMEGA)
+        np.testing.assert_allclose(found, wanted, rtol=1e-4)
+
+
+def test_levels_are_seen_of_far_texels():
+    far, near = maps(1, 1, seed=5), maps(2, 2, seed=6)
+    spatial = SpatialLobes(near.diffuse, near.C, near.exponent, near.scale, near.axis, coarser=(far,))
+    uv = jnp.asarray([0.25, 0.75])
+
+    def seen(minification, footprint):
+        lobes = spatial.packed(minification)
+        _, weights = lobes.around(uv, jnp.asarray(footprint))
+        np.testing.assert_allclose(weights.sum(), 1, rtol=1e-6)
+        assert len(weights) == (4 if minification == "none" else 8)
+        return np.asarray(lobes.at(uv, jnp.asarray(footprint)).evaluate(*OMEGA))
+
+    np.testing.assert_allclose(seen("levels", 1.0), far.at(uv).evaluate(*OMEGA), rtol=1e-4)
+    np.testing.assert_allclose(seen("levels", 0.25), near.at(uv).evaluate(*OMEGA), rtol=1e-4)
+    np.testing.assert_allclose(seen("none", 1.0), near.at(uv).evaluate(*OMEGA), rtol=1e-4)
+    np.testing.assert_allclose(seen("averaged", 1.0), near.packed("averaged").at(uv, 1.0).evaluate(*OMEGA), rtol=1e-6)
+    assert np.abs(seen("averaged", 1.0) - seen("levels", 1.0)).max() > 0.01

@@ -65,3 +65,62 @@ def test_a_texel_that_is_no_number_spoils_no_gradient_elsewhere():
     clean, spoilt = (jax.grad(total)(jnp.asarray(PIXELS).at[0, 0].set(value)) for value in (0.5, jnp.nan))
     np.testing.assert_array_equal(spoilt[2:4, 3:6], clean[2:4, 3:6])
     assert np.abs(clean[2:4, 3:6]).max() > 0
+
+
+# Levels of detail.
+
+
+def _levels(pixels) -> list[np.ndarray]:
+    """Means of 2×2, of those there are at an odd border, pixel by pixel."""
+    levels = [np.asarray(pixels, float)]
+    while levels[-1].shape[:2] != (1, 1):
+        h, w, c = levels[-1].shape
+        level = np.empty((-(-h // 2), -(-w // 2), c))
+        for row, column in np.ndindex(level.shape[:2]):
+            corner = [(min(2 * row + i, h - 1), min(2 * column + j, w - 1)) for i in (0, 1) for j in (0, 1)]
+            level[row, column] = np.mean([levels[-1][place] for place in corner], axis=0)
+        levels.append(level)
+    return levels
+
+
+def test_coarser_levels_are_means_of_2_by_2():
+    levels = _levels(PIXELS)
+    assert [level.shape[:2] for level in levels] == [(5, 7), (3, 4), (2, 2), (1, 1)]
+    texture = Texture(jnp.asarray(PIXELS)).minified()
+    assert texture.coarser is not None
+    np.testing.assert_allclose(texture.coarser, np.concatenate([x.reshape(-1, 3) for x in levels[1:]]), atol=1e-6)
+
+
+@pytest.mark.parametrize("level", [0, 0.25, 1, 1.5, 2, 2.75, 3])
+def test_larger_footprints_see_coarser_levels(level):
+    """Scipy's bilinear look-up of the two levels at hand, at places that no border repeats."""
+    texture, levels = Texture(jnp.asarray(PIXELS)).minified(), _levels(PIXELS)
+    uv = np.random.default_rng(4).uniform(0.4, 0.6, (50, 2))
+    lower = min(int(level), 2)
+    wanted = np.zeros((50, 3))
+    for number, share in ((lower, 1 - (level - lower)), (lower + 1, level - lower)):
+        place = [(1 - uv[:, 1]) * 5 / 2**number - 0.5, uv[:, 0] * 7 / 2**number - 0.5]
+        pixels = levels[number]
+        found = [ndimage.map_coordinates(pixels[..., c], place, order=1, mode="grid-wrap") for c in range(3)]
+        wanted += share * np.stack(found, axis=-1)
+    covered = jnp.full(50, 4.0**level / 35)
+    found = jax.vmap(texture.look_up)(jnp.asarray(uv, jnp.float32), covered)
+    np.testing.assert_allclose(found, wanted, atol=3e-5)
+
+
+def test_footprints_beyond_all_levels_see_the_last():
+    texture = Texture(jnp.asarray(PIXELS)).minified()
+    for covered in (2.0, 1e9, np.inf):
+        np.testing.assert_allclose(texture.look_up(jnp.asarray([0.3, 0.4]), covered), _levels(PIXELS)[-1][0, 0], 1e-6)
+
+
+def test_gradients_reach_the_finest_pixels_through_all_levels():
+    uv, covered = jnp.asarray([[0.3, 0.4]] * 3), jnp.asarray([0, 0.1, 1.0])
+
+    def total(pixels, covered):
+        return jnp.sum(jax.vmap(Texture(pixels).minified().look_up)(uv, covered))
+
+    by_pixels, by_footprint = jax.grad(total, argnums=(0, 1))(jnp.asarray(PIXELS), covered)
+    np.testing.assert_allclose(by_pixels.sum(axis=(0, 1)), 3, rtol=1e-5)
+    assert (np.asarray(by_pixels) > 0).all()
+    assert np.isfinite(by_footprint).all()

@@ -81,3 +81,10 @@ def test_impossible_cameras_are_refused(change, message):
 def test_vectors_of_other_lengths_are_refused():
     with pytest.raises(InputError, match="three finite numbers"):
         Camera((0, 0), (0, 0, 0, 1))  # pyright: ignore[reportArgumentType]
+
+
+def test_pixels_share_the_solid_angle_of_the_picture():
+    """Of a square of half angle 45°: a face of a cube, a sixth of the sphere."""
+    angles = Camera((1, 2, 3), (4, 0, -1), fov_y=90, width=64, height=64).solid_angles()
+    np.testing.assert_allclose(angles.sum(), 4 * np.pi / 6, rtol=1e-3)
+    assert angles[0, 0] < angles[32, 32]

@@ -103,3 +103,25 @@ def test_the_reference_scene_shows_the_bunny_before_the_floor(bunny):
     assert scene.parts[0].material == "object"
     assert mesh[128, 128] == 0
     assert set(np.unique(mesh)) == {-1, 0, 1}
+
+
+def test_footprints_of_a_plane_add_up_to_its_texture():
+    """Pixels that cover a whole card cover all of its unit square, however it is turned."""
+    card = plane((2, 3), 4)
+    for origin in ((0, 3, 0.01), (2, 3, 1), (0.3, 1, -4)):
+        _, gbuffer = traced([card], Camera(origin, (0, 0, 0), fov_y=60, width=96, height=96))
+        assert not gbuffer.covered[[0, -1]].any()
+        assert not gbuffer.covered[:, [0, -1]].any()
+        np.testing.assert_allclose(gbuffer.footprint.sum(), 1, rtol=0.04)
+
+
+def test_footprints_are_finite_at_grazing_and_without_texture_coordinates():
+    flat = plane((2, 2), 2)
+    assert flat.uv is not None
+    pinched = Mesh(flat.vertices, flat.faces, normals=flat.normals, uv=flat.uv * 0)
+    camera = Camera((0, 1e-4, 3), (0, 0, 0), width=32, height=33)
+    for mesh, largest in ((flat, 1e3), (pinched, 0)):
+        _, gbuffer = traced([mesh], camera)
+        assert gbuffer.covered.any()
+        assert np.isfinite(gbuffer.footprint).all()
+        assert 0 <= gbuffer.footprint.min() <= gbuffer.footprint.max() <= largest

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -166,7 +167,7 @@ def test_a_ray_is_blocked_only_by_what_is_nearer_than_the_light():
 
 def test_every_texel_has_its_own_lobes():
     flat = {"diffuse": [0.2, 0.1, 0.3], "C": [[-1, -1, 0.8]], "exponent": [30.0], "scale": [[0.4, 0.3, 0.2]]}
-    maps = {
+    maps: dict[str, Any] = {
         name: jnp.tile(jnp.asarray(value, jnp.float32), (2, 2, *[1] * np.ndim(value))) for name, value in flat.items()
     }
     spatial = SpatialLobes(**maps, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (2, 2, 1)))
@@ -203,7 +204,7 @@ def test_directions_of_anisotropy_follow_the_texture_coordinates():
 def test_reflectance_between_texels_is_the_mean_of_theirs():
     """A card of two texels, a sharp lobe and a soft one: in the middle of the card both are seen half."""
     tiles = {"diffuse": [[0.2] * 3] * 2, "C": [[[-1, -1, 1]]] * 2, "exponent": [[2], [300]], "scale": [[[0.3] * 3]] * 2}
-    arrays = {name: jnp.asarray(value, jnp.float32)[None] for name, value in tiles.items()}
+    arrays: dict[str, Any] = {name: jnp.asarray(value, jnp.float32)[None] for name, value in tiles.items()}
     pair = SpatialLobes(**arrays, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (1, 2, 1)))
     ones = [SpatialLobes(*(leaf[:, i : i + 1] for leaf in jax.tree.leaves(pair))) for i in (0, 1)]
     middle = jnp.full((1, 2), 0.5)

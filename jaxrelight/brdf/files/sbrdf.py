@@ -14,6 +14,7 @@ v = 1. Channels of every part, all float32:
 """
 
 import dataclasses
+import itertools
 import pathlib
 import re
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from jaxtyping import Float, Int
 
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.texture import Texture
+from jaxrelight.brdf.texture import Texture, halved_shape
 from jaxrelight.errors import InputError
 from jaxrelight.images.exr import read_channels, write_channels
 from jaxrelight.whole_file import write_whole
@@ -75,18 +76,27 @@ def read_sbrdf(path: str | pathlib.Path) -> list[SbrdfLevel]:
         parts = read_channels(path, _LARGEST)
     except OSError as fault:
         raise InputError(f"{path}: cannot be read ({fault.strerror or fault}); check the path and its rights") from None
-    return [_level(path, number, planes) for number, planes in enumerate(parts)]
+    levels = [_level(path, number, planes) for number, planes in enumerate(parts)]
+    for number, (finer, level) in enumerate(itertools.pairwise(levels), 1):
+        if level.lobes.shape != halved_shape(*finer.lobes.shape) or level.lobes.lobes != finer.lobes.lobes:
+            raise InputError(
+                f"{path}: level {number} is of {level.lobes.shape} texels and {level.lobes.lobes} lobes; it must be "
+                "half as wide and high as the one before it, rounded up, and have as many lobes"
+            )
+    return levels
 
 
-def spatial(level: SbrdfLevel) -> Material:
-    """A level as a material: its lobes, and its normals as a normal map where they are not all straight."""
+def spatial(levels: Sequence[SbrdfLevel]) -> Material:
+    """Maps as a material: their lobes, and the finest normals as a normal map where they are not all straight."""
+    level = levels[0]
     bent = np.any(np.abs(level.normals - [0, 0, 1]) > 1e-6)
-    bumps = Texture(jnp.asarray((level.normals + 1) / 2, jnp.float32)) if bent else None
-    return Material((Component(level.lobes),), bumps)
+    bumps = Texture(jnp.asarray((level.normals + 1) / 2, jnp.float32)).minified() if bent else None
+    lobes = dataclasses.replace(level.lobes, coarser=tuple(other.lobes for other in levels[1:]))
+    return Material((Component(lobes),), bumps)
 
 
 def _channels(level: SbrdfLevel) -> dict[str, np.ndarray]:
-    maps = {name: np.asarray(array) for name, array in vars(level.lobes).items()}
+    maps = {name: np.asarray(array) for name, array in vars(level.lobes).items() if name != "coarser"}
     found = _spread("diffuse.", "RGB", maps["diffuse"])
     for j in range(level.lobes.lobes):
         found |= _spread(f"lobe{j}.C.", "XYZ", maps["C"][:, :, j])

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
@@ -22,17 +23,31 @@ def level(h=3, w=5, lobes=2, seed=0) -> SbrdfLevel:
 
 @pytest.mark.parametrize("lobes", [0, 1, 3])
 def test_what_is_written_comes_back(tmp_path, lobes):
-    written = [level(3, 5, lobes), level(2, 3, lobes, 1), level(1, 1, lobes, 2)]
+    sizes = (3, 5), (2, 3), (1, 2), (1, 1)
+    written = [level(h, w, lobes, seed) for seed, (h, w) in enumerate(sizes)]
     write_sbrdf(tmp_path / "a.exr", written)
     found = read_sbrdf(tmp_path / "a.exr")
-    assert len(found) == 3
+    assert len(found) == 4
     for one, other in zip(written, found, strict=True):
-        for name, array in vars(one.lobes).items():
-            np.testing.assert_array_equal(getattr(other.lobes, name), array)
+        jax.tree.map(np.testing.assert_array_equal, other.lobes, one.lobes)
         np.testing.assert_array_equal(other.normals.astype(np.float32), one.normals)
         np.testing.assert_array_equal(other.flag, one.flag)
         np.testing.assert_array_equal(other.residual, one.residual)
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
+
+
+@pytest.mark.parametrize(("size", "lobes"), [((2, 2), 2), ((3, 5), 2), ((2, 3), 1)])
+def test_levels_that_do_not_follow_each_other_are_refused(tmp_path, size, lobes):
+    write_sbrdf(tmp_path / "a.exr", [level(3, 5), level(*size, lobes)])
+    with pytest.raises(InputError, match=r"level 1 is of \(\d, \d\) texels and \d lobes; it must be half as wide"):
+        read_sbrdf(tmp_path / "a.exr")
+
+
+def test_all_levels_belong_to_the_material():
+    levels = [level(3, 5), level(2, 3, seed=1)]
+    (component,) = spatial(levels).components
+    assert isinstance(component.brdf, SpatialLobes)
+    jax.tree.map(np.testing.assert_array_equal, component.brdf.coarser, (levels[1].lobes,))
 
 
 def test_channels_are_named_as_documented(tmp_path):
@@ -45,11 +60,11 @@ def test_channels_are_named_as_documented(tmp_path):
 
 def test_bent_normals_become_a_normal_map():
     bent = level()
-    bumps = spatial(bent).normal_map
+    bumps = spatial([bent]).normal_map
     assert bumps is not None
     np.testing.assert_allclose(np.asarray(bumps.pixels) * 2 - 1, bent.normals, atol=1e-6)
     straight = dataclasses.replace(bent, normals=np.broadcast_to([0.0, 0, 1], bent.normals.shape))
-    assert spatial(straight).normal_map is None
+    assert spatial([straight]).normal_map is None
 
 
 @pytest.mark.parametrize(
@@ -96,4 +111,4 @@ def test_files_that_are_none_are_refused(tmp_path):
 
 
 def test_a_lobe_is_shared_by_the_channels():
-    assert isinstance(spatial(level()).components[0].brdf, SpatialLobes)
+    assert isinstance(spatial([level()]).components[0].brdf, SpatialLobes)
