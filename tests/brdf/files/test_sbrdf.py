@@ -38,7 +38,7 @@ def test_what_is_written_comes_back(tmp_path, lobes):
 
 @pytest.mark.parametrize(("size", "lobes"), [((2, 2), 2), ((3, 5), 2), ((2, 3), 1)])
 def test_levels_that_do_not_follow_each_other_are_refused(tmp_path, size, lobes):
-    write_sbrdf(tmp_path / "a.exr", [level(3, 5), level(*size, lobes)])
+    write_sbrdf(tmp_path / "a.exr", [level(3, 5), level(size[0], size[1], lobes)])
     with pytest.raises(InputError, match=r"level 1 is of \(\d, \d\) texels and \d lobes; it must be half as wide"):
         read_sbrdf(tmp_path / "a.exr")
 
