@@ -5,7 +5,7 @@ The public names, each loaded when it is first used:
     one material    fit_lafortune, LafortuneFit, BrdfSamples, Grid, sample, weights
     many items      fit_lobes, Fits
     both            Options, Verdict
-    blends          blended, composed, uniform
+    blends          blended, composed, painted, uniform
 """
 
 import importlib
@@ -14,7 +14,7 @@ _HOMES = {
     "lafortune": ("fit_lafortune", "LafortuneFit"),
     "brdf_samples": ("BrdfSamples", "Grid", "sample"),
     "weights": ("weights",),
-    "blend": ("blended", "composed", "uniform"),
+    "blend": ("blended", "composed", "painted", "uniform"),
     "solve": ("fit_lobes", "Fits", "Options", "Verdict"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

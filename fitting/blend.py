@@ -4,6 +4,7 @@ Parameters of lobes are no vectors: half of two lobes' parameters is a third lob
 functions are averaged, over samples of their domain, and lobes are fitted to the mean.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax
@@ -67,6 +68,22 @@ def uniform(brdf: LobeSum, shape: tuple[int, int]) -> SbrdfLevel:
     lobes = SpatialLobes(*(jnp.broadcast_to(part, (*shape, *part.shape)) for part in maps))
     normals = np.broadcast_to(np.array([0.0, 0, 1]), (*shape, 3))
     return SbrdfLevel(lobes, normals, np.zeros(shape, int), np.zeros(shape, np.float32))
+
+
+def painted(level: SbrdfLevel, angle: Float[np.ndarray, "h w"]) -> SbrdfLevel:
+    """An SBRDF whose directions of anisotropy are painted.
+
+    Args:
+        level: what to turn.
+        angle: in radians from the direction of growing u, counter-clockwise, of every texel; π makes no difference.
+
+    Raises:
+        InputError: if there is not a finite angle for every texel.
+    """
+    if np.shape(angle) != level.lobes.shape or not np.isfinite(angle).all():
+        raise InputError(f"the map of angles must hold finite numbers for {level.lobes.shape} texels")
+    axis = jnp.asarray(np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1), level.lobes.axis.dtype)
+    return dataclasses.replace(level, lobes=dataclasses.replace(level.lobes, axis=axis))
 
 
 def composed(

@@ -45,23 +45,28 @@ def refitted(
 ) -> Float[np.ndarray, "p width"]:
     """Lobes of least squared error to Σ_q share_q f_q / Σ_q share_q of every p, as `as_level` takes them.
 
+    They are anisotropic where texels are, about the mean of their directions.
+
     Args:
         texels: whose arrays lead with the axes p and q.
         shares: of each; no row may be 0.
-        options: of the fit; its lobes have no direction of anisotropy.
+        options: of the fit.
         pairs: of directions that the functions are compared in.
     """
     omega_i, omega_o = spread_pairs(pairs)
     weight = (omega_i[:, 2] * omega_o[:, 2]) ** 2
-    options = dataclasses.replace(options, anisotropic=False)
+    C = np.asarray(texels.C)
+    options = dataclasses.replace(options, anisotropic=bool(np.any(C[..., 0] != C[..., 1])))
 
     def chunk(start: int) -> np.ndarray:
         """Of one size, so that one program does for every level."""
         index = np.minimum(np.arange(start, start + CHUNK), len(shares) - 1)
         mine = jax.tree.map(lambda a: jnp.asarray(a[index]), texels)
-        mean = _mean_values(mine, jnp.asarray(shares[index], jnp.float32), omega_i, omega_o)
+        share = jnp.asarray(shares[index], jnp.float32)
+        axis = _mean_axis(mine, share)
+        mean = _mean_values(mine, axis, share, omega_i, omega_o)
         fits = fit_lobes(omega_i, omega_o, mean, weight, options=options)
-        return np.asarray(packed(fits, jnp.zeros(CHUNK)))
+        return np.asarray(packed(fits, jnp.arctan2(axis[:, 1], axis[:, 0]) / 2))
 
     return np.concatenate([chunk(start) for start in range(0, len(shares), CHUNK)])[: len(shares)]
 
@@ -74,17 +79,32 @@ def mean_normals(normals: Float[np.ndarray, "*p q 3"], shares: Float[np.ndarray,
 
 
 @jax.jit
-def _mean_values(lobes: SpatialLobes, shares, omega_i, omega_o) -> Float[Array, "p s 3"]:
-    def of_texel(texel):
-        alone = jax.tree.map(lambda a: a[None, None], texel)
-        brdf = alone.at(jnp.full(2, 0.5))
+def _mean_axis(lobes: SpatialLobes, shares: Float[Array, "p q"]) -> Float[Array, "p 2"]:
+    """(cos 2φ, sin 2φ) of the direction that all texels have in common; (1, 0) where they have none.
+
+    Each counts by how bright and how anisotropic its lobes are; Cx² − Cy² changes sign as φ turns by a right angle.
+    """
+    stretch = jnp.sum(jnp.mean(lobes.scale, axis=-1) * (lobes.C[..., 0] ** 2 - lobes.C[..., 1] ** 2), axis=-1)
+    total = jnp.sum((shares * stretch)[..., None] * lobes.axis, axis=1)
+    length = jnp.linalg.norm(total, axis=-1, keepdims=True)
+    return jnp.where(length > 0, total / jnp.where(length > 0, length, 1), jnp.asarray([1.0, 0]))
+
+
+@jax.jit
+def _mean_values(lobes: SpatialLobes, axis, shares, omega_i, omega_o) -> Float[Array, "p s 3"]:
+    """Means of the BRDFs of q texels in p frames that are turned to the axes."""
+
+    def of_texel(texel, axis):
+        cosine, sine = jnp.sum(texel.axis * axis), texel.axis[1] * axis[0] - texel.axis[0] * axis[1]
+        relative = dataclasses.replace(texel, axis=jnp.stack([cosine, sine]))
+        brdf = jax.tree.map(lambda a: a[None, None], relative).at(jnp.full(2, 0.5))
         return jax.vmap(brdf.evaluate)(omega_i, omega_o)
 
     def mean(block):
-        texels, share = block
-        return jnp.einsum("q,qsc->sc", share / jnp.sum(share), jax.vmap(of_texel)(texels))
+        texels, axis, share = block
+        return jnp.einsum("q,qsc->sc", share / jnp.sum(share), jax.vmap(of_texel, in_axes=(0, None))(texels, axis))
 
-    return jax.lax.map(mean, (lobes, shares), batch_size=64)
+    return jax.lax.map(mean, (lobes, axis, shares), batch_size=64)
 
 
 def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:

@@ -1,12 +1,14 @@
 """Blends are means of functions, not of parameters."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fitting import sbrdf_levels
-from fitting.blend import blended, composed, uniform
+from fitting.blend import blended, composed, painted, uniform
 from fitting.brdf_samples import Grid, sample
 from fitting.sbrdf_levels import spread_pairs
 from fitting.solve import Options, Verdict
@@ -104,6 +106,29 @@ def test_masks_choose_and_mix():
     size = np.linalg.norm(weight * mean)
     assert apart[0] < 0.02 * size
     assert apart[0] < apart[1] < 0.4 * size
+
+
+BRUSHED = lobe_sum([0.1, 0.2, 0.3], [lobe([-1, -0.7, 0.95], 20, peak=[2.0, 1.5, 1.0])])
+
+
+def test_brushed_texels_of_one_direction_are_refitted_in_it():
+    """Also where one is painted by a quarter turn, of a lobe that is stretched the other way."""
+    crossed = lobe_sum([0.1, 0.2, 0.3], [lobe([-0.7, -1, 0.95], 20, peak=[2.0, 1.5, 1.0])])
+    angles = np.full((1, 1), 0.4), np.full((1, 1), 0.4 + np.pi / 2)
+    layers = [painted(uniform(brdf, (1, 1)), angle) for brdf, angle in zip((BRUSHED, crossed), angles, strict=True)]
+    made = composed([(layer, np.ones((1, 1))) for layer in layers])
+    wanted = jax.vmap(dataclasses.replace(BRUSHED, turn=jnp.asarray(0.4)).evaluate)(*PAIRS)
+    assert np.linalg.norm(_values(made, 0, 0) - wanted) < 0.01 * np.linalg.norm(wanted)
+
+
+def test_painted_angles_turn_the_lobes():
+    made = painted(uniform(BRUSHED, (1, 2)), np.array([[0.3, -2.0]]))
+    for column, angle in enumerate((0.3, -2.0)):
+        wanted = jax.vmap(dataclasses.replace(BRUSHED, turn=jnp.asarray(angle)).evaluate)(*PAIRS)
+        np.testing.assert_allclose(_values(made, 0, column), wanted, rtol=1e-3, atol=1e-5)
+    for wrong in (np.zeros((2, 1)), np.full((1, 2), np.nan)):
+        with pytest.raises(InputError, match="finite numbers for"):
+            painted(made, wrong)
 
 
 def test_normals_are_mixed_and_of_unit_length():

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -83,9 +84,9 @@ def test_bad_texels_are_flagged_and_leave_the_others_as_they_are():
     assert bad.level.flag[1, 1] == Verdict.BLACK
     same = np.ones((SIZE, SIZE), bool)
     same[0, 0] = same[1, 1] = False
-    for name, array in vars(good.level.lobes).items():
-        np.testing.assert_array_equal(np.asarray(getattr(bad.level.lobes, name))[same], np.asarray(array)[same])
-    assert all(np.isfinite(array).all() for array in vars(bad.level.lobes).values())
+    for found, wanted in zip(*map(jax.tree.leaves, (bad.level.lobes, good.level.lobes)), strict=True):
+        np.testing.assert_array_equal(np.asarray(found)[same], np.asarray(wanted)[same])
+    assert all(np.isfinite(array).all() for array in jax.tree.leaves(bad.level.lobes))
 
 
 def test_what_was_done_is_not_done_again(tmp_path, monkeypatch):
