@@ -78,12 +78,12 @@ class SpatialLobes(eqx.Module):
 
 def _side_by_side(maps: SpatialLobes) -> Float[Array, "h w p"]:
     logarithm = jnp.log(jnp.maximum(maps.exponent, 1e-6))
-    parts = [maps.diffuse, maps.C, logarithm, maps.scale, maps.axis]
+    parts = [maps.diffuse, maps.C, logarithm, maps.scale / (maps.exponent + 2)[..., None], maps.axis]
     return jnp.concatenate([part.reshape(*maps.shape, -1) for part in parts], axis=-1)
 
 
 class PackedLobes(eqx.Module):
-    """`SpatialLobes` as one texture of diffuse, C, log exponents, scale and axis: a look-up reads one place.
+    """`SpatialLobes` as one texture of diffuse, C, log exponents, scale/(n + 2), axis: a look-up reads one place.
 
     Attributes:
         texture: of c + (4 + c) · lobes + 2 channels.
@@ -99,7 +99,8 @@ class PackedLobes(eqx.Module):
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
         Parameters are interpolated between texels and levels: C by components and then to max|C| = 1 again, exponents
-        by their logarithms, which spread a highlight evenly.
+        by their logarithms, which spread a highlight evenly, and for scales the shares of light that lobes reflect,
+        2π·scale/(n + 2): a wide lobe as bright as a sharp one's peak would be too bright.
 
         Args:
             uv: texture coordinates.
@@ -120,7 +121,7 @@ class PackedLobes(eqx.Module):
     def _lobes(self, flat: Float[Array, "*p t"]) -> LobeSum:
         """The BRDFs of packed parameters."""
         c, lobes = self.channels, self.lobes
-        diffuse, C, logarithm, scale, axis = jnp.split(
+        diffuse, C, logarithm, share, axis = jnp.split(
             flat, [c, c + 3 * lobes, c + 4 * lobes, (c + 4) * lobes + c], axis=-1
         )
         C = C.reshape(*C.shape[:-1], lobes, 1, 3)
@@ -128,4 +129,5 @@ class PackedLobes(eqx.Module):
         C = jnp.where(largest > 0, C / jnp.where(largest > 0, largest, 1), 0)
         none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
         angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
-        return LobeSum(diffuse, C, jnp.exp(logarithm)[..., None], scale.reshape(*scale.shape[:-1], lobes, c), angle)
+        exponent = jnp.exp(logarithm)[..., None]
+        return LobeSum(diffuse, C, exponent, share.reshape(*share.shape[:-1], lobes, c) * (exponent + 2), angle)

@@ -56,23 +56,25 @@ def main():
             spheres(materials, side, arguments.pictures / "spheres.png")
 
 
-def brdfs(published: pathlib.Path) -> dict:
+def published(name: str, path: pathlib.Path):
+    """A material of the published Lafortune fits, whose lobes differ by channel."""
+    from jaxrelight import lobe, lobe_sum
+
+    material = json.loads(path.read_text())["materials"][name]
+    made = [
+        lobe(np.stack([one["Cxy"], one["Cxy"], one["Cz"]], axis=-1), one["n"], specular=1) for one in material["lobes"]
+    ]
+    return lobe_sum(material["diffuse"], made)
+
+
+def brdfs(path: pathlib.Path) -> dict:
     """The four BRDFs of §5."""
-    from jaxrelight import ashikhmin_shirley, lobe, lobe_sum, phong
-
-    materials = json.loads(published.read_text())["materials"]
-
-    def lafortune(name: str):
-        made = [
-            lobe(np.stack([one["Cxy"], one["Cxy"], one["Cz"]], axis=-1), one["n"], specular=1)
-            for one in materials[name]["lobes"]
-        ]
-        return lobe_sum(materials[name]["diffuse"], made)
+    from jaxrelight import ashikhmin_shirley, phong
 
     return {
         "Ashikhmin–Shirley": ashikhmin_shirley(0.5, 0.75, 10, 100),
-        "clay": lafortune("clay"),
-        "dark skin": lafortune("skin"),
+        "clay": published("clay", path),
+        "dark skin": published("skin", path),
         "Phong 50": phong([0.4, 0.1, 0.1], 0.4, 50),
     }
 
