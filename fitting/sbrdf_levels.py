@@ -45,7 +45,7 @@ def refitted(
 ) -> Float[np.ndarray, "p width"]:
     """Lobes of least squared error to Σ_q share_q f_q / Σ_q share_q of every p, as `as_level` takes them.
 
-    They are anisotropic where texels are, about the mean of their directions.
+    They are anisotropic where texels are, about the mean of their directions. Equal texels stay what they are.
 
     Args:
         texels: whose arrays lead with the axes p and q.
@@ -53,10 +53,12 @@ def refitted(
         options: of the fit.
         pairs: of directions that the functions are compared in.
     """
+    texels = jax.tree.map(np.asarray, texels)
+    found, alike = _common(texels, shares)
+    texels, shares = jax.tree.map(lambda a: a[~alike], texels), shares[~alike]
     omega_i, omega_o = spread_pairs(pairs)
     weight = (omega_i[:, 2] * omega_o[:, 2]) ** 2
-    C = np.asarray(texels.C)
-    options = dataclasses.replace(options, anisotropic=bool(np.any(C[..., 0] != C[..., 1])))
+    options = dataclasses.replace(options, anisotropic=bool(np.any(texels.C[..., 0] != texels.C[..., 1])))
 
     def chunk(start: int) -> np.ndarray:
         """Of one size, so that one program does for every level."""
@@ -68,7 +70,21 @@ def refitted(
         fits = fit_lobes(omega_i, omega_o, mean, weight, options=options)
         return np.asarray(packed(fits, jnp.arctan2(axis[:, 1], axis[:, 0]) / 2))
 
-    return np.concatenate([chunk(start) for start in range(0, len(shares), CHUNK)])[: len(shares)]
+    rows = [chunk(start) for start in range(0, len(shares), CHUNK)]
+    if rows:
+        found[~alike] = np.concatenate(rows)[: len(shares)]
+    return found
+
+
+def _common(texels: SpatialLobes, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first texel of every p, as `as_level` takes it, and whether all that have a share equal it."""
+    p, first = np.arange(len(shares)), np.argmax(shares > 0, axis=1)
+    alike = np.ones(len(shares), bool)
+    for leaf in jax.tree.leaves(texels):
+        same = (leaf == leaf[p, first][:, None]).reshape(*shares.shape, -1).all(axis=-1)
+        alike &= (same | (shares == 0)).all(axis=1)
+    parts = [leaf[p, first].reshape(len(p), -1) for leaf in jax.tree.leaves(texels)]
+    return np.concatenate([*parts, np.zeros((len(p), 2))], axis=1, dtype=np.float32), alike
 
 
 def mean_normals(normals: Float[np.ndarray, "*p q 3"], shares: Float[np.ndarray, "*p q"]) -> Float[np.ndarray, "*p 3"]:

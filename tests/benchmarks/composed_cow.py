@@ -102,7 +102,8 @@ def masks(side: int) -> dict[str, np.ndarray]:
     # Between two colours lie those of others: such pixels are of the nearest one that is clear.
     unclear = np.min(apart, axis=0) > 100
     index = ndimage.distance_transform_edt(unclear, return_distances=False, return_indices=True)
-    nearest, block = np.argmin(apart, axis=0)[tuple(index)], len(pixels) // side
+    row, column = np.asarray(index)
+    nearest, block = np.argmin(apart, axis=0)[row, column], len(pixels) // side
     return {
         name: (nearest == number).reshape(side, block, side, block).mean(axis=(1, 3))
         for number, name in enumerate(COLOURS)

@@ -10,6 +10,7 @@ import pytest
 from fitting import sbrdf_levels
 from fitting.blend import blended, composed, painted, uniform
 from fitting.brdf_samples import Grid, sample
+from fitting.sbrdf import as_level
 from fitting.sbrdf_levels import spread_pairs
 from fitting.solve import Options, Verdict
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
@@ -65,13 +66,24 @@ def _few_at_a_time(monkeypatch):
 
 
 def test_texels_are_refitted_in_chunks_and_keep_their_order():
-    """Three in chunks of two; the share of one alone gives it back."""
+    """Three in chunks of two; the share of nearly one alone gives it back."""
     both = jax.tree.map(lambda *a: jnp.stack(a, axis=2), *(uniform(brdf, (1, 3)).lobes for brdf in (SHARP, BROAD)))
-    shares = np.array([[1.0, 0], [0, 3], [2, 0]])
+    shares = np.array([[1.0, 1e-5], [1e-5, 3], [2, 1e-5]])
     rows = sbrdf_levels.refitted(jax.tree.map(lambda a: a[0], both), shares, Options())
     assert len(rows) == 3
     np.testing.assert_allclose(rows[:, 6], [60, 5, 60], rtol=1e-2)
     np.testing.assert_allclose(rows[1, :3], BROAD.diffuse, rtol=1e-2)
+
+
+def test_equal_texels_stay_what_they_are(monkeypatch):
+    """Also where another one, that does not count, is unlike them."""
+    monkeypatch.setattr(sbrdf_levels, "fit_lobes", None)
+    parts = uniform(SHARP, (1, 1)), uniform(SHARP, (1, 1)), uniform(BROAD, (1, 1))
+    texels = jax.tree.map(lambda *a: jnp.stack(a, axis=2)[0], *(part.lobes for part in parts))
+    (row,) = sbrdf_levels.refitted(texels, np.array([[0.5, 2.0, 0.0]]), Options())
+    level = as_level(row[None], np.ones((1, 1), bool), parts[0].normals, Options())
+    jax.tree.map(np.testing.assert_array_equal, level.lobes, parts[0].lobes)
+    assert level.flag[0, 0] == Verdict.GOOD
 
 
 SHAPE = 2, 3
