@@ -21,7 +21,8 @@ def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 
     """The next level of detail: lobes refitted to the mean BRDF of every 2×2 texels, and its mask.
 
     Parameters do not average: two highlights beside each other are one broad one only if the functions are averaged
-    (McAllister 2002 §7). Every texel's BRDF is taken in its own frame; texels off the mask do not count.
+    (McAllister 2002 §7). Every texel's BRDF is taken in its own frame; texels off the mask do not count. There are as
+    many lobes as before, whatever the options say.
     """
     h, w = mask.shape
     rows, columns = -(-h // 2), -(-w // 2)
@@ -35,6 +36,7 @@ def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 
     counted = children(mask, "constant")
     new_mask = np.asarray(counted.any(axis=2))
     texels = jax.tree.map(lambda a: children(a)[new_mask], level.lobes)
+    options = dataclasses.replace(options, lobes=level.lobes.lobes)
     found = refitted(texels, counted[new_mask], options, pairs)
     normals = mean_normals(children(level.normals), counted)
     return as_level(found, new_mask, normals, options), new_mask

@@ -5,10 +5,14 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.texture import Footprint, Texture
+
+# Of a lobe that reflects nothing, so that it has a direction and an exponent all the same.
+_LEAST_WEIGHT = 1e-9
 
 Minification = Literal["levels", "averaged", "none"]
 
@@ -77,16 +81,18 @@ class SpatialLobes(eqx.Module):
 
 
 def _side_by_side(maps: SpatialLobes) -> Float[Array, "h w p"]:
-    logarithm = jnp.log(jnp.maximum(maps.exponent, 1e-6))
-    parts = [maps.diffuse, maps.C, logarithm, maps.scale / (maps.exponent + 2)[..., None], maps.axis]
+    share = maps.scale / (maps.exponent + 2)[..., None]
+    weight = jnp.abs(jnp.mean(share, axis=-1)) + _LEAST_WEIGHT
+    logarithm = weight * jnp.log(jnp.maximum(maps.exponent, 1e-6))
+    parts = [maps.diffuse, weight[..., None] * maps.C, weight, logarithm, share, maps.axis]
     return jnp.concatenate([part.reshape(*maps.shape, -1) for part in parts], axis=-1)
 
 
 class PackedLobes(eqx.Module):
-    """`SpatialLobes` as one texture of diffuse, C, log exponents, scale/(n + 2), axis: a look-up reads one place.
+    """`SpatialLobes` as one texture of what is interpolated, see `at`: a look-up reads one place.
 
     Attributes:
-        texture: of c + (4 + c) · lobes + 2 channels.
+        texture: of c + (5 + c) · lobes + 2 channels.
         lobes: l.
         channels: c.
     """
@@ -98,9 +104,10 @@ class PackedLobes(eqx.Module):
     def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
-        Parameters are interpolated between texels and levels: C by components and then to max|C| = 1 again, exponents
-        by their logarithms, which spread a highlight evenly, and for scales the shares of light that lobes reflect,
-        2π·scale/(n + 2): a wide lobe as bright as a sharp one's peak would be too bright.
+        Parameters are interpolated between texels and levels. For scales these are the shares of light that lobes
+        reflect, 2π·scale/(n + 2): a wide lobe as bright as a sharp one's peak would be too bright. C, by components
+        and then to max|C| = 1 again, and exponents, by their logarithms, count by these shares: of a lobe that is black
+        in one texel nothing is known there.
 
         Args:
             uv: texture coordinates.
@@ -121,13 +128,12 @@ class PackedLobes(eqx.Module):
     def _lobes(self, flat: Float[Array, "*p t"]) -> LobeSum:
         """The BRDFs of packed parameters."""
         c, lobes = self.channels, self.lobes
-        diffuse, C, logarithm, share, axis = jnp.split(
-            flat, [c, c + 3 * lobes, c + 4 * lobes, (c + 4) * lobes + c], axis=-1
-        )
+        ends = np.cumsum([c, 3 * lobes, lobes, lobes, c * lobes])
+        diffuse, C, weight, logarithm, share, axis = jnp.split(flat, ends, axis=-1)
         C = C.reshape(*C.shape[:-1], lobes, 1, 3)
         largest = jnp.max(jnp.abs(C), axis=-1, keepdims=True)
         C = jnp.where(largest > 0, C / jnp.where(largest > 0, largest, 1), 0)
         none = (axis[..., 0] == 0) & (axis[..., 1] == 0)
         angle = jnp.arctan2(axis[..., 1], jnp.where(none, 1, axis[..., 0])) / 2
-        exponent = jnp.exp(logarithm)[..., None]
+        exponent = jnp.exp(logarithm / weight)[..., None]
         return LobeSum(diffuse, C, exponent, share.reshape(*share.shape[:-1], lobes, c) * (exponent + 2), angle)

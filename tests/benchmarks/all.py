@@ -27,6 +27,8 @@ PROGRAMS = (
     "measured_material",
     "prefiltered",
     "sbrdf_frames",
+    "sbrdf_sampling",
+    "composed_cow",
 )
 
 

@@ -125,7 +125,7 @@ def with_coarser(level):
 
     levels, mask = [level], np.ones(level.lobes.shape, bool)
     while max(mask.shape) > 1:
-        level, mask = coarser(levels[-1], mask, Options(lobes=LOBES))
+        level, mask = coarser(levels[-1], mask, Options())
         levels.append(level)
     return levels
 

@@ -1,5 +1,7 @@
 """Maps of lobes: what lies in a texel, and what lies between texels."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -48,11 +50,26 @@ def test_arrays_lead_with_the_coordinates():
     np.testing.assert_allclose(found.exponent[3], one.exponent)
 
 
-def test_between_texels_exponents_meet_by_their_logarithms_and_directions_of_c_stay_unit():
+def test_between_texels_lobes_count_by_the_light_they_reflect():
+    """Exponents by their logarithms, and C; which stays of unit length. What a lobe reflects is interpolated itself."""
+    spatial, middle = maps(1, 2), jnp.asarray([0.5, 0.5])
+    between = spatial.at(middle)
+    share = np.asarray(spatial.scale[0] / (spatial.exponent[0] + 2)[..., None])
+    weight = share.mean(axis=-1)
+    wanted = np.exp(np.average(np.log(spatial.exponent[0]), axis=0, weights=weight))
+    np.testing.assert_allclose(between.exponent[:, 0], wanted, rtol=1e-4)
+    np.testing.assert_allclose(between.scale / (between.exponent + 2), share.mean(axis=0), rtol=1e-4)
+    C = np.average(np.asarray(spatial.C[0]), axis=0, weights=np.repeat(weight[..., None], 3, axis=-1))
+    np.testing.assert_allclose(between.C[:, 0], C / np.abs(C).max(axis=-1, keepdims=True), rtol=1e-4)
+
+
+def test_a_black_lobe_leaves_its_neighbour_as_it_is():
     spatial = maps(1, 2)
-    between = spatial.at(jnp.asarray([0.5, 0.5]))
-    np.testing.assert_allclose(between.exponent[:, 0] ** 2, np.prod(spatial.exponent[0], axis=0), rtol=1e-4)
-    np.testing.assert_allclose(np.abs(between.C).max(axis=-1), 1, rtol=1e-6)
+    half = dataclasses.replace(spatial, scale=spatial.scale.at[0, 0].set(0))
+    between, own = half.at(jnp.asarray([0.5, 0.5])), half.at(jnp.asarray([0.75, 0.5]))
+    np.testing.assert_allclose(between.exponent, own.exponent, rtol=1e-4)
+    np.testing.assert_allclose(between.C, own.C, atol=1e-6)
+    np.testing.assert_allclose(between.scale, own.scale / 2, rtol=1e-4)
 
 
 def test_directions_of_anisotropy_meet_the_shorter_way():
