@@ -34,6 +34,8 @@ class Sbrdf:
     """Every so many images, one takes no part in the fit and is predicted by it; 0 fits to all."""
     levels: bool = False
     """Write coarser levels of detail too, each refitted to the mean BRDF of four texels."""
+    storage: Literal["float", "half", "8bit"] = "float"
+    """Bytes of a number in the file: four, two, or one; what rounding does to lobes is measured for each."""
     report: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     """Folder for pictures: a photograph beside what the fit has it as, and residuals by texel."""
     json: bool = False
@@ -81,7 +83,7 @@ class Sbrdf:
                     level, mask = coarser(levels[-1], mask, options)
                     levels.append(level)
         with timed(seconds, "write"):
-            write_sbrdf(self.output, levels)
+            write_sbrdf(self.output, levels, self.storage)
             shutil.rmtree(parts, ignore_errors=True)
         summary = {
             "command": "sbrdf",
@@ -90,6 +92,8 @@ class Sbrdf:
             "texels": int(fit.mask.sum()),
             "images": int((~held).sum()),
             "lobes": self.lobes,
+            "storage": self.storage,
+            "bytes": self.output.stat().st_size,
             "levels": [[level.lobes.shape[1], level.lobes.shape[0]] for level in levels],
             "estimated_normals": fit.estimated,
             "verdicts": fit.counts(),

@@ -122,7 +122,7 @@ def read_channels(path: Path, max_pixels: int) -> list[dict[str, np.ndarray]]:
 
 
 def write_channels(path: Path, parts: Sequence[tuple[str, dict[str, np.ndarray]]]) -> None:
-    """Write named parts of named channels `[h, w]` as float32, ZIP compressed, without loss.
+    """Write named parts of named channels `[h, w]`, float32 or float16, ZIP compressed, without loss.
 
     The format wants one display window for all parts: it is as large as the largest.
 
@@ -135,7 +135,7 @@ def write_channels(path: Path, parts: Sequence[tuple[str, dict[str, np.ndarray]]
     heights, widths = zip(*(plane.shape for _, channels in parts for plane in channels.values()), strict=True)
     window = np.zeros(2, np.int32), np.array([max(widths) - 1, max(heights) - 1], np.int32)
     for name, channels in parts:
-        planes = {channel: np.ascontiguousarray(plane, np.float32) for channel, plane in channels.items()}
+        planes = {channel: np.ascontiguousarray(plane) for channel, plane in channels.items()}
         header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "name": name}
         header["displayWindow"] = window
         made.append(OpenEXR.Part(header, planes, name))

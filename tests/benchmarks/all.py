@@ -28,6 +28,7 @@ PROGRAMS = (
     "prefiltered",
     "sbrdf_frames",
     "sbrdf_sampling",
+    "sbrdf_storage",
     "composed_cow",
 )
 

@@ -1,7 +1,7 @@
 """SBRDF maps: one OpenEXR file of named channels, a part for each level of detail.
 
 Parts are called level0, level1, …; each is half as wide and high as the one before it, rounded up. Row 0 is the top,
-v = 1. Channels of every part, all float32:
+v = 1. Channels of every part, all float32 unless storage is compact (`jaxrelight.brdf.coded` has the names then):
 
     diffuse.R, .G, .B           albedo
     lobeJ.C.X, .Y, .Z           C of lobe J = 0, 1, …, with max|C| = 1
@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxrelight.brdf.coded import Storage, decode, encode
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, halved_shape
@@ -50,16 +51,21 @@ class SbrdfLevel:
     residual: Float[np.ndarray, "h w"]
 
 
-def write_sbrdf(path: str | pathlib.Path, levels: Sequence[SbrdfLevel]) -> None:
+def write_sbrdf(path: str | pathlib.Path, levels: Sequence[SbrdfLevel], storage: Storage = "float") -> None:
     """Writes the levels, finest first; the file appears whole or not at all.
 
+    Args:
+        path: ends with .exr.
+        levels: what `read_sbrdf` gives back.
+        storage: "float", or less bytes a number, see `jaxrelight.brdf.coded`.
+
     Raises:
-        InputError: if the file cannot be written.
+        InputError: if the file cannot be written, or the storage has no place for a number.
     """
     path = pathlib.Path(path)
     if path.suffix.lower() != ".exr":
         raise InputError(f"{path}: SBRDF maps are written as .exr; change the name")
-    parts = [(f"level{number}", _channels(level)) for number, level in enumerate(levels)]
+    parts = [(f"level{number}", _channels(level, storage)) for number, level in enumerate(levels)]
     write_whole(path, lambda partial: write_channels(partial, parts))
 
 
@@ -95,47 +101,27 @@ def spatial(levels: Sequence[SbrdfLevel]) -> Material:
     return Material((Component(lobes),), bumps)
 
 
-def _channels(level: SbrdfLevel) -> dict[str, np.ndarray]:
-    maps = {name: np.asarray(array) for name, array in vars(level.lobes).items() if name != "coarser"}
-    found = _spread("diffuse.", "RGB", maps["diffuse"])
-    for j in range(level.lobes.lobes):
-        found |= _spread(f"lobe{j}.C.", "XYZ", maps["C"][:, :, j])
-        found |= {f"lobe{j}.exponent": maps["exponent"][:, :, j]}
-        found |= _spread(f"lobe{j}.scale.", "RGB", maps["scale"][:, :, j])
-    found |= {"axis.cos2": maps["axis"][..., 0], "axis.sin2": maps["axis"][..., 1]}
-    found |= _spread("normal.", "XYZ", level.normals)
-    return found | {"flag": level.flag.astype(np.float32), "residual": level.residual}
-
-
-def _spread(prefix: str, names: str, array: np.ndarray) -> dict[str, np.ndarray]:
-    return {prefix + name: array[..., i] for i, name in enumerate(names)}
+def _channels(level: SbrdfLevel, storage: Storage) -> dict[str, np.ndarray]:
+    found = encode(level.lobes, storage)
+    number = np.float32 if storage == "float" else np.float16
+    others = {f"normal.{name}": level.normals[..., i] for i, name in enumerate("XYZ")}
+    others |= {"flag": level.flag, "residual": level.residual}
+    return found | {name: plane.astype(number) for name, plane in others.items()}
 
 
 def _level(path: pathlib.Path, number: int, planes: dict[str, np.ndarray]) -> SbrdfLevel:
     count = 1 + max((int(name[4:].split(".")[0]) for name in planes if re.match(r"lobe\d+\.", name)), default=-1)
-    wanted = ["diffuse.R", "axis.cos2", "axis.sin2", "normal.X", "flag", "residual"]
-    missing = [name for name in wanted if name not in planes]
-    if missing:
-        raise InputError(
-            f"{path}: level {number} lacks the channel '{missing[0]}'; is it a map of jaxrelight-fit sbrdf?"
-        )
-
-    def gathered(prefix: str, names: Sequence[str]) -> np.ndarray:
-        lacking = [prefix + name for name in names if prefix + name not in planes]
-        if lacking:
-            raise InputError(f"{path}: level {number} lacks the channel '{lacking[0]}'; write it again")
-        return np.stack([planes[prefix + name] for name in names], axis=-1)
-
-    shape = planes["flag"].shape
-    diffuse = gathered("diffuse.", "RGB")
-    if count:
-        C = np.stack([gathered(f"lobe{j}.C.", "XYZ") for j in range(count)], axis=2)
-        exponent = np.concatenate([gathered(f"lobe{j}.", ["exponent"]) for j in range(count)], axis=2)
-        scale = np.stack([gathered(f"lobe{j}.scale.", "RGB") for j in range(count)], axis=2)
-    else:
-        C, exponent, scale = np.zeros((*shape, 0, 3)), np.zeros((*shape, 0)), np.zeros((*shape, 0, 3))
-    normals = gathered("normal.", "XYZ").astype(float)
-    axis = np.stack([planes["axis.cos2"], planes["axis.sin2"]], axis=-1)
+    for name in ("flag", "residual", "normal.X", "normal.Y", "normal.Z"):
+        if name not in planes:
+            raise InputError(f"{path}: level {number} lacks the channel '{name}'; is it a map of jaxrelight-fit sbrdf?")
+    try:
+        lobes = decode(planes, count)
+    except KeyError as lacking:
+        raise InputError(f"{path}: level {number} lacks the channel {lacking}; write it again") from None
+    normals = np.stack([planes[f"normal.{name}"] for name in "XYZ"], axis=-1).astype(float)
+    diffuse, C, exponent, scale, axis = (
+        np.asarray(array) for array in (lobes.diffuse, lobes.C, lobes.exponent, lobes.scale, lobes.axis)
+    )
     for name, values, least in (
         ("diffuse", diffuse, 0),
         ("C", C, -1.001),
@@ -150,5 +136,4 @@ def _level(path: pathlib.Path, number: int, planes: dict[str, np.ndarray]) -> Sb
         raise InputError(
             f"{path}: level {number} has a C beyond 1; scale it to max|C| = 1, and the lobe's scale with it"
         )
-    made = SpatialLobes(*(jnp.asarray(a, jnp.float32) for a in (diffuse, C, exponent, scale, axis)))
-    return SbrdfLevel(made, normals, planes["flag"].astype(int), planes["residual"])
+    return SbrdfLevel(lobes, normals, planes["flag"].astype(int), planes["residual"])

@@ -36,6 +36,21 @@ def test_what_is_written_comes_back(tmp_path, lobes):
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
+@pytest.mark.parametrize("lobes", [0, 2])
+@pytest.mark.parametrize("storage", ["half", "8bit"])
+def test_compact_storage_comes_back_nearly(tmp_path, storage, lobes):
+    written = level(3, 5, lobes)
+    write_sbrdf(tmp_path / "a.exr", [written], storage)
+    (found,) = read_sbrdf(tmp_path / "a.exr")
+    np.testing.assert_allclose(found.lobes.exponent, written.lobes.exponent, rtol=0.04)
+    np.testing.assert_allclose(found.lobes.diffuse, written.lobes.diffuse, atol=5e-3)
+    np.testing.assert_allclose(found.normals, written.normals, atol=1e-3)
+    np.testing.assert_array_equal(found.flag, written.flag)
+    np.testing.assert_array_equal(np.isnan(found.residual), np.isnan(written.residual))
+    write_sbrdf(tmp_path / "float.exr", [written])
+    assert (tmp_path / "a.exr").stat().st_size < (tmp_path / "float.exr").stat().st_size
+
+
 @pytest.mark.parametrize(("size", "lobes"), [((2, 2), 2), ((3, 5), 2), ((2, 3), 1)])
 def test_levels_that_do_not_follow_each_other_are_refused(tmp_path, size, lobes):
     write_sbrdf(tmp_path / "a.exr", [level(3, 5), level(size[0], size[1], lobes)])

@@ -114,11 +114,13 @@ def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(sbrdf, "CHUNK", 8)
     monkeypatch.setattr(sbrdf_levels, "CHUNK", 4)
-    arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--levels", "--report", "report", "--json"
+    arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--levels", "--report", "report", "--storage", "half", "--json"
     summary = summary_of(run(*arguments))
     _documented(summary)
     levels = read_sbrdf(folder / "maps.exr")
     assert [level.lobes.shape for level in levels] == [(3, 4), (2, 2), (1, 1)]
+    assert summary["storage"] == "half"
+    assert summary["bytes"] == (folder / "maps.exr").stat().st_size
     assert summary["levels"] == [[4, 3], [2, 2], [1, 1]]
     np.testing.assert_allclose(levels[0].lobes.exponent, 20, rtol=0.05)
     assert (summary["texels"], summary["images"], summary["held_out_images"]) == (12, 21, 3)
