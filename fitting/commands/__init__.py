@@ -22,5 +22,6 @@ factors: format, form, terms, resolution, bytes (of the maps in memory); with --
 residuals at directions that took no part} and refining_steps.
 
 sbrdf: texels, images, lobes, storage, bytes (of the file), levels (width and height of each), estimated_normals,
-verdicts (texels by verdict), held_out_images, held_out {lambert, lobes: as residual, of images that took no part; lambert is the best without lobes}.
+verdicts (texels by verdict), held_out_images, held_out {lambert, lobes: as residual, of images that took no part;
+lambert is the best without lobes}.
 """

@@ -97,15 +97,15 @@ def byte_C(lobes):  # noqa: N802
 
 
 def rescaled_C(lobes):  # noqa: N802
-    """C in the same steps, of the length that keeps the ratios of its components best; the scale takes up the rest."""
+    """The same, of the length that keeps ratios best where the lobe is bright; the scale takes up the rest."""
     C, n = np.asarray(lobes.C), np.asarray(lobes.exponent)
     best, change, least = C, np.zeros_like(n), np.full(n.shape, np.inf)
     for length in np.linspace(64, 127, 253):
         tried = np.rint(C * length)
         tried /= np.abs(tried).max(axis=-1, keepdims=True)
-        off = np.log(np.abs(tried / C))
-        mean = off.mean(axis=-1, keepdims=True)
-        error = ((off - mean) ** 2).sum(axis=-1)
+        off, weight = np.log(np.abs(tried / C)), np.abs(C) ** n[..., None] + 0.05
+        mean = (weight * off).sum(axis=-1, keepdims=True) / weight.sum(axis=-1, keepdims=True)
+        error = (weight * (off - mean) ** 2).sum(axis=-1)
         better = error < least
         best = np.where(better[..., None], tried, best)
         change, least = np.where(better, mean[..., 0], change), np.minimum(error, least)
