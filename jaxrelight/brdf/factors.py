@@ -96,7 +96,7 @@ def factor(
         if form == "symmetric":
             return Symmetric(jnp.sqrt(jnp.abs(value)), jnp.sign(value[:, :, 0, 0]), parametrisation)
         return Factored(jnp.ones_like(value[:, :1]), value, parametrisation)
-    samples = _Samples(brdf, parametrisation, resolution, cosine)
+    samples = Samples(brdf, parametrisation, resolution, cosine)
     check_terms(terms, resolution, parametrisation)
     if error is None:
         return _FORMS[form](samples, terms)
@@ -116,7 +116,7 @@ def check_terms(terms: int, resolution: int, parametrisation: Parametrisation = 
         raise InputError(f"{terms} terms cannot be had from {count} directions; ask for 1 to {count}")
 
 
-class _Samples:
+class Samples:
     """A BRDF between the texels of a map: the weighted matrix of a channel, and products with unweighted rows."""
 
     def __init__(self, brdf: Brdf, parametrisation: Parametrisation, side: int, cosine: tuple[float, float]):
@@ -165,6 +165,12 @@ class _Samples:
             block, same = _evaluate(self.brdf, jnp.asarray(omega[rows], self.dtype), other, channel, swapped)
             yield rows, np.asarray(block), np.asarray(same)
 
+    def joined(self, inside: np.ndarray, rest: np.ndarray) -> np.ndarray:
+        """Texels [k, t] from values [·, k] at those on the hemisphere and those off it."""
+        texels = np.zeros((inside.shape[1], self.side**2))
+        texels[:, self.inside], texels[:, ~self.inside] = inside.T, rest.T
+        return texels
+
     def maps(self, values: np.ndarray) -> Array:
         """Texels [k, c, t] as maps."""
         k, c, _ = values.shape
@@ -183,7 +189,7 @@ def _evaluate(brdf: Brdf, omega, other, channel, swapped: bool):
     return jnp.take(values, channel, axis=-1), same
 
 
-def _by_channel(samples: _Samples, make: Callable[[int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+def _by_channel(samples: Samples, make: Callable[[int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
     """What make(channel) returns, arrays [k, …], for every channel in axis 1; channels alike share it."""
     found = []
     for c in range(samples.channels):
@@ -192,27 +198,20 @@ def _by_channel(samples: _Samples, make: Callable[[int], tuple[np.ndarray, ...]]
     return [np.stack(parts, axis=1) for parts in zip(*found, strict=True)]
 
 
-def _joined(samples: _Samples, inside: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """Maps [k, t] from values [·, k] at texels on the hemisphere and off it."""
-    maps = np.zeros((inside.shape[1], samples.side**2))
-    maps[:, samples.inside], maps[:, ~samples.inside] = inside.T, rest.T
-    return maps
-
-
-def _svd(samples: _Samples, terms: int) -> Factored:
+def _svd(samples: Samples, terms: int) -> Factored:
     def make(c: int):
         u, sigma, v = largest_singular(samples.matrix(c), terms)
         root, over_root = _roots(sigma)
         light_rest = samples.times(c, samples.rest, samples.view[:, None] * v)
         view_rest = samples.times(c, samples.rest, samples.light[:, None] * u, swapped=True)
-        light = _joined(samples, root * u / samples.light[:, None], over_root * light_rest)
-        return light, _joined(samples, root * v / samples.view[:, None], over_root * view_rest)
+        light = samples.joined(root * u / samples.light[:, None], over_root * light_rest)
+        return light, samples.joined(root * v / samples.view[:, None], over_root * view_rest)
 
     light, view = _by_channel(samples, make)
     return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
 
 
-def _symmetric(samples: _Samples, terms: int) -> Symmetric:
+def _symmetric(samples: Samples, terms: int) -> Symmetric:
     """M = Q D Qᵀ: √|D| Q on both sides, and the sign of D. The singular values are |D|."""
     if samples.cosine[0] != samples.cosine[1]:
         raise InputError("the symmetric form needs the same power of the cosine on both sides")
@@ -224,13 +223,13 @@ def _symmetric(samples: _Samples, terms: int) -> Symmetric:
         value, q = largest_eigen(matrix, terms)
         root, over_root = _roots(np.abs(value))
         rest = np.sign(value) * over_root * samples.times(c, samples.rest, samples.light[:, None] * q)
-        return _joined(samples, root * q / samples.light[:, None], rest), np.sign(value)
+        return samples.joined(root * q / samples.light[:, None], rest), np.sign(value)
 
     maps, signs = _by_channel(samples, make)
     return Symmetric(samples.maps(maps), jnp.asarray(signs, samples.dtype), samples.parametrisation)
 
 
-def _normalised(samples: _Samples, terms: int) -> Factored:
+def _normalised(samples: Samples, terms: int) -> Factored:
     """Takes g = mean of f over ω_o and h = mean of f/g over ω_i: exact where f is a product, and never negative."""
     if terms != 1:
         raise InputError(f"the normalised form has one term, not {terms}")
@@ -246,7 +245,7 @@ def _normalised(samples: _Samples, terms: int) -> Factored:
     return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
 
 
-def _nonnegative(samples: _Samples, terms: int) -> Factored:
+def _nonnegative(samples: Samples, terms: int) -> Factored:
     """The weighted matrix as a product of two that are nowhere negative."""
 
     def make(c: int):
@@ -256,8 +255,8 @@ def _nonnegative(samples: _Samples, terms: int) -> Factored:
         g, h = nonnegative_factors(matrix, *largest_singular(matrix, terms))
         light_rest = samples.times(c, samples.rest, samples.view[:, None] * h)
         view_rest = samples.times(c, samples.rest, samples.light[:, None] * g, swapped=True)
-        light = _joined(samples, g / samples.light[:, None], nonnegative_rows(light_rest, h.T @ h))
-        return light, _joined(samples, h / samples.view[:, None], nonnegative_rows(view_rest, g.T @ g))
+        light = samples.joined(g / samples.light[:, None], nonnegative_rows(light_rest, h.T @ h))
+        return light, samples.joined(h / samples.view[:, None], nonnegative_rows(view_rest, g.T @ g))
 
     light, view = _by_channel(samples, make)
     return Factored(samples.maps(light), samples.maps(view), samples.parametrisation)
@@ -266,7 +265,7 @@ def _nonnegative(samples: _Samples, terms: int) -> Factored:
 _FORMS = {"svd": _svd, "symmetric": _symmetric, "normalised": _normalised, "nonnegative": _nonnegative}
 
 
-def _fewest(samples: _Samples, form: Form, terms: int, error: float) -> Factored | Symmetric:
+def _fewest(samples: Samples, form: Form, terms: int, error: float) -> Factored | Symmetric:
     """The factors of the fewest terms whose error is small enough."""
     whole = _FORMS[form](samples, terms)
     errors = _errors(samples, whole)
@@ -287,7 +286,7 @@ def _fewest(samples: _Samples, form: Form, terms: int, error: float) -> Factored
     return whole
 
 
-def _errors(samples: _Samples, factors: Factored | Symmetric) -> np.ndarray:
+def _errors(samples: Samples, factors: Factored | Symmetric) -> np.ndarray:
     """Relative weighted error of the first 1, 2, … products, of the channel where it is largest: [k]."""
     maps = (
         (factors.maps, factors.signs[..., None, None] * factors.maps)

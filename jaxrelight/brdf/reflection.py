@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.texture import Footprint
 
 
 class Reflection(eqx.Module):
@@ -34,6 +35,10 @@ class Reflection(eqx.Module):
     @abc.abstractmethod
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """The factors of the outgoing direction."""
+
+    def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Footprint) -> Array:
+        """The same at texture coordinates, of which a pixel covers an area; where it varies over the surface."""
+        return self.view_side(omega_o)
 
     @property
     @abc.abstractmethod

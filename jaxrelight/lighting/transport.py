@@ -164,7 +164,7 @@ def _add_block(
     corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
     # pixels p, corners b, terms k, channels c
     light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
-    view = jax.vmap(reflection.view_side)(pixels.omega_o)
+    view = jax.vmap(reflection.view_side_at)(pixels.omega_o, pixels.uv, pixels.footprint)
     # One-sided: nothing is seen from below the shading normal.
     radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
     radiance = radiance * jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)

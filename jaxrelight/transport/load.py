@@ -18,6 +18,7 @@ from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
+from jaxrelight.brdf.spatial_factors import SpatialFactors
 from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
@@ -164,11 +165,11 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
     for record in header["materials"]:
         brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
         groups = receivers.groups_of(record["number"])
-        reflection = (
-            read_factors(store.open_layer(folder / record["factors"]))
-            if record["factors"]
-            else fixed_view(brdf, receivers, groups)
-        )
+        if record["factors"]:
+            read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors
+            reflection = read(store.open_layer(folder / record["factors"]))
+        else:
+            reflection = fixed_view(brdf, receivers, groups)
         dropped = None
         if settings.coefficients == "all":
             operators.append(_streamed(settings, visibility, receivers, groups, reflection))
@@ -369,6 +370,12 @@ _compiled = functools.cache(jax.jit)
 def read_factors(layer: store.Layer) -> Factored:
     """Factors from their layer."""
     return Factored(*jax.device_put((layer.read("light_maps", 0), layer.read("view_maps", 0))))
+
+
+def read_spatial_factors(layer: store.Layer) -> SpatialFactors:
+    """Factors shared by a map of BRDFs from their layer."""
+    light, view = jax.device_put((layer.read("light_maps", 0), layer.read("view_maps", 0)))
+    return SpatialFactors(light, view, _minified(layer.read("weights", 0)))
 
 
 def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:

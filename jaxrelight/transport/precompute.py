@@ -27,6 +27,7 @@ from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.spatial_factors import Left, SpatialFactors, factor_spatial, without_diffuse
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
@@ -36,7 +37,7 @@ from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.sparse_rows import smallest_index_type
 from jaxrelight.scene import Scene
 from jaxrelight.transport import bake
-from jaxrelight.transport.load import Placed, fixed_view, frames_of, read_factors, receivers_of
+from jaxrelight.transport.load import Placed, fixed_view, frames_of, read_factors, read_spatial_factors, receivers_of
 from jaxrelight.transport.settings import Settings
 from jaxrelight.transport.visibility import trace_visibility
 
@@ -92,11 +93,6 @@ def precompute(
         scene.check_materials()
         for part in scene.parts:
             _check_terms(scene, part.material, settings)
-            if settings.receivers == "vertices" and as_material(scene.materials[part.material]).is_spatial:
-                raise InputError(
-                    f"{scene.name}: '{part.material}' has a BRDF for every texel, which vertices cannot hold yet; "
-                    "ask for --receivers pixels"
-                )
         surfaces = scene.surfaces()
         names = sorted({part.material for part in scene.parts})
         material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
@@ -129,7 +125,7 @@ def precompute(
         )
         rays = _trace_groups(visibility, receivers, tracer, directions, report)
 
-    materials = []
+    materials, notes = [], []
     with _timed(seconds, "transport"):
         frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
         for number, name in enumerate(names):
@@ -138,18 +134,26 @@ def precompute(
                 continue
             terms = scene.terms.get(name, settings.terms)
             material = as_material(scene.materials[name])
+            if settings.receivers == "vertices":
+                material = without_diffuse(material)
             bump = _write_texture(folder, material.normal_map) if material.normal_map else None
             for component in material.components:
                 brdf = component.brdf
                 described = to_record(brdf, functools.partial(_write_table, folder))
-                reflection, factors = _factors(folder, brdf, described, terms, settings)
+                reflection, factors, left = _factors(folder, brdf, described, terms, settings)
+                if left and reflection:
+                    notes.append(
+                        f"{name}: the shapes that stand for the lobes of all texels are {left.shapes:.1%} off, and "
+                        f"{reflection.terms} terms leave {left.terms:.0%} of them; --terms is the dial"
+                    )
                 reflection = reflection or fixed_view(brdf, receivers, groups)
                 weight = [_write_texture(folder, texture) for texture in component.weight]
                 record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
                 record["normal_map"] = bump
                 if settings.coefficients != "all":
                     # The name of the factors tells their number and their resolution.
-                    uv_key = store.key_of(surfaces.uv, footprint) if isinstance(brdf, SpatialLobes) else None
+                    own = isinstance(brdf, SpatialLobes) and settings.receivers == "pixels"
+                    uv_key = store.key_of(surfaces.uv, footprint) if own else None
                     same = visibility_key, number, described, factors, settings.coefficients, frames_key
                     key = store.key_of(*same, *([uv_key] if uv_key else []))
                     layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
@@ -174,7 +178,6 @@ def precompute(
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(folder / name)
-    notes = []
     if any(bumps) and settings.receivers == "vertices":
         notes.append(
             "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
@@ -266,22 +269,32 @@ def _write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 
 def _factors(
     folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, settings: Settings
-) -> tuple[Factored | None, str | None]:
-    """Factors, from their layer if it exists, and its name; none for pixels unless the BRDF is constant.
+) -> tuple[Factored | SpatialFactors | None, str | None, Left | None]:
+    """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
 
-    What is given as factors is taken as it is, whatever the settings say.
+    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the settings say.
     """
-    if isinstance(brdf, SpatialLobes) or (settings.receivers == "pixels" and not brdf.is_constant):
-        return None, None
+    if settings.receivers == "pixels" and not brdf.is_constant:
+        return None, None, None
     dials = () if isinstance(brdf, Separable) else (terms, settings.factor_resolution, *COSINE)
     key = store.key_of(described, *dials)
     path = folder / f"factors-{key}"
+    spatial = isinstance(brdf, SpatialLobes)
     with contextlib.suppress(InputError):
-        return read_factors(store.open_layer(path)), path.name
+        layer = store.open_layer(path)
+        if spatial:
+            return read_spatial_factors(layer), path.name, Left(*layer.read("left", 0).tolist())
+        return read_factors(layer), path.name, None
     # Missing or damaged.
+    if spatial:
+        made, left = factor_spatial(brdf, terms, settings.factor_resolution)
+        arrays = {"light_maps": made.light_maps, "view_maps": made.view_maps, "weights": made.weights.pixels}
+        numbers = {"left": np.array(dataclasses.astuple(left))}
+        _write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
+        return made, path.name, left
     factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, settings.factor_resolution)
     _write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
-    return factors, path.name
+    return factors, path.name, None
 
 
 def _transport_layer(folder: pathlib.Path, reflection: Reflection, settings: Settings, groups: int) -> store.Layer:

@@ -11,11 +11,11 @@ from fitting import sbrdf_levels
 from fitting.blend import blended, composed, painted, uniform
 from fitting.brdf_samples import Grid, sample
 from fitting.sbrdf import as_level
-from fitting.sbrdf_levels import spread_pairs
 from fitting.solve import Options, Verdict
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.files.sbrdf import read_sbrdf, write_sbrdf
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum
+from jaxrelight.brdf.pairs import spread_pairs
 from jaxrelight.errors import InputError
 
 COARSE = Grid(half=14, difference=6, azimuth=5)
