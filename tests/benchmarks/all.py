@@ -29,6 +29,7 @@ PROGRAMS = (
     "sbrdf_frames",
     "sbrdf_sampling",
     "sbrdf_storage",
+    "sbrdf_vertices",
     "composed_cow",
 )
 

@@ -1,0 +1,77 @@
+"""A spatial BRDF in transport: vertices that share factors, by number of terms, against every pixel's own lobes."""
+
+import argparse
+import dataclasses
+import pathlib
+import tempfile
+
+from tests.benchmarks.measuring import Report, interleaved, megabytes, percent, shared
+
+SKIES = "grace_latlong.exr", "pmndrs_venice.exr"
+TERMS = 4, 16, 48
+RESOLUTION, COEFFICIENTS, EDGE, RUNS = 32, 256, 0.02, 5
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.sbrdf_vertices", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="small maps and pictures; RESULTS.md is left as it is")
+    quick = parser.parse_args().quick
+    shared("data", "mesh", "spot_texture.png")
+    side, size = (32, 48) if quick else (256, 256)
+    parameters = (
+        f"spot with {side}² texels of six materials, edges of at most {EDGE}, {size}² pixels, resolution {RESOLUTION}, "
+        f"{COEFFICIENTS} coefficients; relative L2 against pixel receivers with all coefficients, trimmed / untrimmed"
+    )
+    with Report("sbrdf_vertices", "Spatial BRDFs at vertices", parameters, not quick) as report:
+        measure(report, side, size, TERMS[:1] if quick else TERMS)
+        report.speed()
+
+
+def measure(report: Report, side: int, size: int, terms: tuple[int, ...]):
+    """A row for every number of terms."""
+    from jaxrelight import Relighter, Settings, image_error, load, load_environment, precompute
+    from jaxrelight.geometry.subdivision import subdivided
+    from tests.benchmarks.composed_cow import compose, cow, materials
+
+    scene = cow([compose(materials(side), side)], size)
+    alone = dataclasses.replace(scene.parts[0], mesh=subdivided(scene.parts[0].mesh, EDGE))
+    scene = dataclasses.replace(scene, parts=[alone], lights=())
+    skies = [load_environment(shared("data", "env", name)) for name in SKIES]
+    ways = {"pixels": Settings("pixels", resolution=RESOLUTION, coefficients="all")}
+    for count in terms:
+        ways[f"K = {count}"] = Settings(
+            "vertices", resolution=RESOLUTION, terms=count, coefficients=COEFFICIENTS, factor_resolution=48
+        )
+    truth, rows = [], []
+    for name, settings in ways.items():
+        with tempfile.TemporaryDirectory() as folder:
+            made = precompute(scene, settings, pathlib.Path(folder))
+            relighter = Relighter(load(made.folder))
+            view, lit = relighter.view(), relighter.light(skies[0])
+            pictures = [relighter.image(sky, view, background=False) for sky in skies]
+            if not truth:
+                truth = pictures
+                continue
+            for note in made.notes:
+                report.text(f"K = {settings.terms}: {note}.")
+            sides = {
+                "light": lambda r=relighter: r.light(skies[0]),
+                "view": lambda r=relighter, lit=lit, view=view: r.shade(lit, view),
+            }
+            times = interleaved(sides, RUNS)
+            errors = [image_error(one, other) for one, other in zip(pictures, truth, strict=True)]
+            rows.append(
+                [
+                    name,
+                    *(f"{percent(error.trimmed)} / {percent(error.untrimmed)}" for error in errors),
+                    f"{made.seconds['transport']:.1f} s",
+                    *(megabytes(made.nbytes[kind]) for kind in ("factors", "transport")),
+                    *(f"{1e3 * times[side].median:.1f} ms" for side in ("light", "view")),
+                ]
+            )
+    skies_named = [name.split(".")[0] for name in SKIES]
+    report.table(["terms", *skies_named, "factors and bake", "factors", "store", "next light", "next view"], rows)
+
+
+if __name__ == "__main__":
+    main()
