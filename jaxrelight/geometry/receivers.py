@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrelight.geometry.gbuffer import GBuffer
+from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
 
 # Receivers of a group: the unit of tracing, baking, storing and resuming.
@@ -89,7 +90,7 @@ def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
 
 
 def _grouped(positions, normals, face_normals, tangents, omega_o, uv, footprint, material) -> Receivers:
-    order = np.lexsort((_morton(positions), material))
+    order = np.lexsort((morton((positions + 1) / 2), material))
     members, material_of_group, filled = [], [], []
     for number in np.unique(material):
         mine = order[material[order] == number]
@@ -117,13 +118,3 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, uv, footprint,
         filled=np.array(filled, np.int64),
         slot_of=slot_of,
     )
-
-
-def _morton(positions: np.ndarray) -> np.ndarray:
-    """Place along a Z-shaped curve through [−1, 1]³, in steps of 2/1,024."""
-    cell = ((positions + 1) * 512).astype(np.int64).clip(0, 1023)
-    code = np.zeros(len(cell), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return code

@@ -67,7 +67,7 @@ def measure(report: Report, side: int, size: int, picture: pathlib.Path | None):
         shown[f"{name.split('.')[0]}, three lights"] = (image + behind) / bright + lit
     report.table(["step", "seconds, with what is compiled"], rows)
     if picture:
-        contact_sheet(picture, shown, 4, -0.6)
+        contact_sheet(picture, shown, 4, -1.3)
 
 
 def materials(side: int):
