@@ -1,7 +1,6 @@
 """Compact codes of maps of lobes: half floats, and 8 bits (McAllister 2002 §3 and §4).
 
-A lobe's power multiplies what rounding does to C by n. Both codes therefore keep |C|ⁿ, to about a thousandth of the
-lobe's peak, rather than C.
+A lobe's power multiplies what rounding does to C by n. Both codes therefore keep |C|ⁿ rather than C.
 """
 
 from collections.abc import Callable, Mapping
@@ -33,7 +32,7 @@ def encode(lobes: SpatialLobes, storage: Storage) -> dict[str, np.ndarray]:
 
         float   lobe{j}.C.XYZ, .exponent, .scale.RGB; diffuse.RGB; axis.cos2, .sin2
         half    lobe{j}.power.XYZ = sign(C)·(1 − max(n, 1)·log|C|), .exponent, .share.RGB = scale/(n + 2); the others
-                as before. Rounding moves no lobe by more than 3e-4 of its peak, whatever n.
+                as before. Rounding moves no lobe by more than 6e-4 of its peak, whatever n.
         8bit    lobe{j}.code.CDEF = C, of which the largest component is 1: signs, and −log|C|ⁿ of the other two in 13
                 bits each; .code.N = 255·log(n + 1)/log(10,001); .code.RGBP = share as three mantissas of 8 bits and a
                 power of 2. diffuse.code.RGB = 255·√diffuse; axis.code.AB: 2φ in two bytes.

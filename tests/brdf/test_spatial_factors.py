@@ -27,9 +27,19 @@ def smooth(h=2, w=3, lobes=2, seed=0):
 
 def of_texel(factors, row: int, column: int, shape) -> np.ndarray:
     uv = jnp.asarray([(column + 0.5) / shape[1], 1 - (row + 0.5) / shape[0]])
+    return np.asarray(_products(factors, uv))
+
+
+@jax.jit
+def _products(factors, uv):
     light = jax.vmap(factors.light_side)(PAIRS[0])
     view = jax.vmap(lambda omega: factors.view_side_at(omega, uv, 0.0))(PAIRS[1])
-    return np.asarray(jnp.sum(light * view, axis=1))
+    return jnp.sum(light * view, axis=1)
+
+
+@jax.jit
+def _values(lobes, uv):
+    return jax.vmap(lobes.at(uv).evaluate)(*PAIRS)
 
 
 def test_with_many_terms_texels_are_themselves():
@@ -42,16 +52,16 @@ def test_with_many_terms_texels_are_themselves():
     missed, total = 0.0, 0.0
     for row, column in np.ndindex(2, 3):
         uv = jnp.asarray([(column + 0.5) / 3, 1 - (row + 0.5) / 2])
-        wanted = weight * np.asarray(jax.vmap(lobes.at(uv).evaluate)(*PAIRS))
+        wanted = weight * np.asarray(_values(lobes, uv))
         missed += np.sum((weight * of_texel(factors, row, column, (2, 3)) - wanted) ** 2)
         total += np.sum(wanted**2)
     assert missed < 0.04**2 * total
 
 
 def test_fewer_terms_and_shapes_leave_more(monkeypatch):
-    lobes = smooth(3, 4, 2)
-    errors = [factor_spatial(lobes, terms, 16)[1] for terms in (2, 8, 32)]
-    assert errors[0].terms > 1.5 * errors[1].terms > 2 * errors[2].terms
+    lobes = smooth(2, 3, 2)
+    errors = [factor_spatial(lobes, terms, 16)[1] for terms in (2, 16)]
+    assert errors[0].terms > 2 * errors[1].terms
     assert len({error.shapes for error in errors}) == 1
     monkeypatch.setattr(spatial_factors, "MOST_SHAPES", 3)
     assert factor_spatial(lobes, 2, 16)[1].shapes > errors[0].shapes + 0.01

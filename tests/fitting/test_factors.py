@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from fitting.factors import refined
 from jaxrelight.brdf.factored import Factored
@@ -19,6 +20,7 @@ def test_refining_lowers_the_error_of_look_ups_on_other_directions():
     assert 0 < found.steps <= 60
 
 
+@pytest.mark.slow
 def test_maps_that_are_wrong_are_brought_near_the_best():
     """From maps with noise, most of the way back to those of the singular values."""
     brdf = lobe_sum(0.2, [lobe([-1, -1, 0.9], 4, peak=0.5)])

@@ -77,6 +77,7 @@ def test_what_is_held_out_is_not_seen():
     assert fit.residual < fit.held_out
 
 
+@pytest.mark.slow
 def test_an_anisotropic_material_needs_an_anisotropic_lobe():
     truth = lobe_sum(0.1, [lobe([-1, -0.8, 0.9], 20.0, specular=0.7)])
     grid = Grid(half=10, difference=6, azimuth=6, rotations=8)

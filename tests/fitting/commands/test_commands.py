@@ -51,6 +51,7 @@ def test_lafortune_writes_a_material_and_says_how_good_it_is(folder, run):
         assert read_image(folder / picture).std() > 0.05
 
 
+@pytest.mark.slow
 def test_lafortune_in_words_and_with_every_choice(folder, run):
     (folder / "paint.bsdf").write_bytes(writers.rgl(azimuths=5, scale=0.5))
     dials = "--weight", "cosine", "--anisotropic", "--per-channel", "--hold-out", "0"
@@ -113,15 +114,14 @@ def test_refined_factors_say_what_refining_did(folder, run):
 def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(sbrdf, "CHUNK", 8)
-    monkeypatch.setattr(sbrdf_levels, "CHUNK", 4)
-    arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--levels", "--report", "report", "--storage", "half", "--json"
+    arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--report", "report", "--storage", "half", "--json"
     summary = summary_of(run(*arguments))
     _documented(summary)
     levels = read_sbrdf(folder / "maps.exr")
-    assert [level.lobes.shape for level in levels] == [(3, 4), (2, 2), (1, 1)]
+    assert [level.lobes.shape for level in levels] == [(3, 4)]
     assert summary["storage"] == "half"
     assert summary["bytes"] == (folder / "maps.exr").stat().st_size
-    assert summary["levels"] == [[4, 3], [2, 2], [1, 1]]
+    assert summary["levels"] == [[4, 3]]
     np.testing.assert_allclose(levels[0].lobes.exponent, 20, rtol=0.05)
     assert (summary["texels"], summary["images"], summary["held_out_images"]) == (12, 21, 3)
     assert summary["verdicts"] == {"good": 12}
@@ -132,6 +132,15 @@ def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
         assert read_image(folder / picture).std() > 0.01
     # What a run that is stopped would go on with is cleared away.
     assert not list(folder.glob(".*"))
+
+
+@pytest.mark.slow
+def test_sbrdf_writes_coarser_levels(folder, run, monkeypatch):
+    monkeypatch.setattr(sbrdf, "CHUNK", 8)
+    monkeypatch.setattr(sbrdf_levels, "CHUNK", 4)
+    summary = summary_of(run("sbrdf", "bump.npz", "-o", "maps.exr", "--levels", "--storage", "8bit", "--json"))
+    assert [level.lobes.shape for level in read_sbrdf(folder / "maps.exr")] == [(3, 4), (2, 2), (1, 1)]
+    assert summary["levels"] == [[4, 3], [2, 2], [1, 1]]
 
 
 @pytest.mark.parametrize(
