@@ -19,7 +19,7 @@ Planes = Mapping[str, Float[np.ndarray, "h w"]]
 _LARGEST_HALF = 65504.0
 # Exponents in 8 bits lie evenly by log(n + 1). The paper's 255·√(n/255) ends at 255, and is coarser below 12
 # (`tests/benchmarks/sbrdf_storage.py`).
-_LARGEST_EXPONENT, _LOGARITHM = 1e4, np.log1p(1e4)
+_LARGEST_EXPONENT, _LOGARITHM = 1e5, np.log1p(1e5)
 # −log|C|ⁿ in 13 bits: even steps of its logarithm beyond the first number; the last step is C = 0.
 _LOST, _MOST_LOST, _NOTHING = 0.5, 7e4, 2**13 - 1
 _STEP = np.log1p(_MOST_LOST / _LOST) / (_NOTHING - 1)
@@ -34,27 +34,31 @@ def encode(lobes: SpatialLobes, storage: Storage) -> dict[str, np.ndarray]:
         half    lobe{j}.power.XYZ = sign(C)·(1 − max(n, 1)·log|C|), .exponent, .share.RGB = scale/(n + 2); the others
                 as before. Rounding moves no lobe by more than 6e-4 of its peak, whatever n.
         8bit    lobe{j}.code.CDEF = C, of which the largest component is 1: signs, and −log|C|ⁿ of the other two in 13
-                bits each; .code.N = 255·log(n + 1)/log(10,001); .code.RGBP = share as three mantissas of 8 bits and a
-                power of 2. diffuse.code.RGB = 255·√diffuse; axis.code.AB: 2φ in two bytes.
+                bits each; .code.N = 255·log(n + 1)/log(100,001); .code.RGBP = share as three mantissas of 8 bits and a
+                power of 2, diffuse.code.RGBP likewise; axis.code.AB: 2φ in two bytes.
 
     The paper keeps C in three bytes of fixed point, of the length that preserves the ratios of its components best
     (§3): that is many per cent wrong at exponents of 80 and more (`tests/benchmarks/sbrdf_storage.py`).
 
+    Exponents beyond 65,504 in half floats, or 100,000 in 8 bits, are held there, and reflect what they did: lobes half
+    a degree wide.
+
     Raises:
-        InputError: for numbers that a code has no place for: half floats beyond 65,504, exponents beyond 10,000 and
-            albedos beyond 1 in 8 bits.
+        InputError: if a lobe reflects, or an albedo is, more than half floats can hold: 65,504.
     """
     maps = {name: np.asarray(array, float) for name, array in vars(lobes).items() if name != "coarser"}
     if storage != "float":
-        _check("exponent", maps["exponent"], _LARGEST_HALF if storage == "half" else _LARGEST_EXPONENT, storage)
-        _check("scale/(n + 2)", maps["scale"] / (maps["exponent"] + 2)[..., None], _LARGEST_HALF, storage)
-        _check("diffuse", maps["diffuse"], _LARGEST_HALF if storage == "half" else 1.0, storage)
+        share = maps["scale"] / (maps["exponent"] + 2)[..., None]
+        _check("scale/(n + 2)", share, storage)
+        _check("diffuse", maps["diffuse"], storage)
+        held = np.minimum(maps["exponent"], _LARGEST_HALF if storage == "half" else _LARGEST_EXPONENT)
+        maps |= {"exponent": held, "scale": share * (held + 2)[..., None]}
     found = {}
     for j in range(lobes.lobes):
         one = maps["C"][:, :, j], maps["exponent"][:, :, j], maps["scale"][:, :, j]
         found |= {f"lobe{j}.{name}": plane for name, plane in _ENCODE[storage](*one).items()}
     if storage == "8bit":
-        found |= _spread("diffuse.code.", "RGB", np.rint(255 * np.sqrt(maps["diffuse"])))
+        found |= {f"diffuse.{name}": plane for name, plane in _mantissas(maps["diffuse"]).items()}
         turn = np.arctan2(maps["axis"][..., 1], maps["axis"][..., 0]) / (2 * np.pi)
         whole = np.rint(turn * 2**16) % 2**16
         found |= {"axis.code.A": whole // 256, "axis.code.B": whole % 256}
@@ -78,7 +82,7 @@ def decode(planes: Planes, lobes: int) -> SpatialLobes:
         shape = next(iter(planes.values())).shape
         C, exponent, scale = np.zeros((*shape, 0, 3)), np.zeros((*shape, 0)), np.zeros((*shape, 0, 3))
     if "diffuse.code.R" in planes:
-        diffuse = (_gathered(planes, "diffuse.code.", "RGB") / 255) ** 2
+        diffuse = _from_mantissas(planes, "diffuse.")
         angle = (planes["axis.code.A"] * 256 + planes["axis.code.B"]) * (2 * np.pi / 2**16)
         axis = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     else:
@@ -126,13 +130,22 @@ def _as_bytes(C, exponent, scale) -> dict[str, np.ndarray]:
     n = np.rint(255 * np.log1p(exponent) / _LOGARITHM)
     bits = _packed(C, exponent)
     planes = {f"code.{name}": bits >> shift & 255 for name, shift in zip("CDEF", (24, 16, 8, 0), strict=True)}
-    share = scale / (exponent + 2)[..., None]
-    largest = share.max(axis=-1)
+    return planes | {"code.N": n} | _mantissas(scale / (exponent + 2)[..., None])
+
+
+def _mantissas(values: Float[np.ndarray, "h w 3"]) -> dict[str, np.ndarray]:
+    """Three bytes and the power of 2 that they share."""
+    largest = values.max(axis=-1)
     e = np.where(largest > 0, np.frexp(largest)[1], -127)
     # The largest mantissa may round up to 256.
     e = np.clip(e + (np.rint(largest * 2.0 ** (8 - e)) > 255), -127, 127)
-    mantissa = np.minimum(np.rint(share * 2.0 ** (8 - e)[..., None]), 255)
-    return planes | {"code.N": n} | _spread("code.", "RGB", mantissa) | {"code.P": e + 128}
+    mantissa = np.minimum(np.rint(values * 2.0 ** (8 - e)[..., None]), 255)
+    return _spread("code.", "RGB", mantissa) | {"code.P": e + 128}
+
+
+def _from_mantissas(planes: Planes, prefix: str) -> Float[np.ndarray, "h w 3"]:
+    mantissa, e = _gathered(planes, prefix + "code.", "RGB"), planes[prefix + "code.P"] - 128
+    return mantissa * (2.0 ** (e - 8))[..., None]
 
 
 def _packed(C: Float[np.ndarray, "*p 3"], exponent: Float[np.ndarray, "*p"]) -> np.ndarray:
@@ -171,8 +184,7 @@ def _from_bytes(planes: Planes, prefix: str):
     for name in "CDEF":
         bits = bits << 8 | planes[f"{prefix}code.{name}"].astype(int)
     exponent = np.expm1(planes[prefix + "code.N"] * (_LOGARITHM / 255))
-    mantissa, e = _gathered(planes, prefix + "code.", "RGB"), planes[prefix + "code.P"] - 128
-    return _unpacked(bits, exponent), exponent, mantissa * (2.0 ** (e - 8) * (exponent + 2))[..., None]
+    return _unpacked(bits, exponent), exponent, _from_mantissas(planes, prefix) * (exponent + 2)[..., None]
 
 
 _ENCODE: dict[Storage, Callable] = {"float": _as_float, "half": _as_half, "8bit": _as_bytes}
@@ -187,9 +199,9 @@ def _gathered(planes: Planes, prefix: str, names: str) -> Float[np.ndarray, "h w
     return np.stack([planes[prefix + name] for name in names], axis=-1)
 
 
-def _check(name: str, values: np.ndarray, most: float, storage: Storage):
-    if values.size and values.max() > most:
-        more = "half or float" if storage == "8bit" else "float"
+def _check(name: str, values: np.ndarray, storage: Storage):
+    if values.size and values.max() > _LARGEST_HALF:
         raise InputError(
-            f"{name} reaches {values.max():,.6g}, and {storage} storage holds {most:,.0f} at most; use {more} storage"
+            f"{name} reaches {values.max():,.6g}, and {storage} storage holds {_LARGEST_HALF:,.0f} at most; "
+            "use float storage"
         )

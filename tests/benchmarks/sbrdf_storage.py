@@ -119,8 +119,8 @@ def paper_exponent(lobes):
 
 
 def our_exponent(lobes):
-    """Even steps of log(n + 1) up to 10,000."""
-    step = np.log1p(1e4) / 255
+    """Even steps of log(n + 1) up to 100,000."""
+    step = np.log1p(1e5) / 255
     return with_exponent(lobes, np.expm1(np.rint(np.log1p(np.asarray(lobes.exponent)) / step) * step))
 
 
