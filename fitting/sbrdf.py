@@ -30,6 +30,10 @@ LEAST_COSINE, SHADOW = 0.08, 0.1
 _POOL, _PRIOR, SHARE = 256, 32, 0.1
 # A lobe of which no sample sees as much as this share of the peak is extrapolated, and may be of any height there.
 _SEEN = 0.25
+# Lobes of the whole surface are a texel's where a sample sees this share of their peak.
+_MET = 0.05
+# The same of the highest peak that a lobe has for any eye: photographs have one, pictures will have others.
+_REACHED = 1e-3
 # Directions of anisotropy that are tried: a quarter of the circle, since C's x and y may change places.
 _ANGLES = 6
 
@@ -153,8 +157,22 @@ def _undetermined(fits: Fits, omega_i, omega_o, weight) -> Bool[Array, " p"]:
     nearest = jnp.max(jnp.where(weight[..., None] > 0, cosine, 0), axis=1)
     seen = safe.power(nearest, fits.brdf.exponent[:, :, 0])
     active = jnp.any(fits.brdf.scale > 0, axis=-1)
+    seen = jnp.where(reached(fits.brdf, omega_i, omega_o, weight), seen, 0)
     open_ends = (fits.verdict == Verdict.UNCERTAIN) | (fits.verdict == Verdict.AT_BOUND)
     return open_ends | jnp.any(active & (seen < _SEEN), axis=1)
+
+
+@jax.jit
+def reached(
+    brdf: LobeSum, omega_i: Float[Array, "p n 3"], omega_o: Float[Array, "p n 3"], weight: Float[Array, "p n"]
+) -> Bool[Array, "p l"]:
+    """Whether some sample sees a thousandth of what each lobe reflects at most.
+
+    The others are extrapolated without bound: of |C|ⁿ that small, samples are met by any peak.
+    """
+    dot = jnp.sum(brdf.C[:, None, :, 0] * (omega_i * omega_o)[:, :, None], axis=-1)
+    most = jnp.max(jnp.where(weight[..., None] > 0, dot, 0), axis=1)
+    return safe.power(most, brdf.exponent[:, :, 0]) >= _REACHED
 
 
 @jax.jit
@@ -164,8 +182,9 @@ def _with_lobes_of(common: LobeSum, fits: Fits, unknown, omega_i, omega_o, value
     def one(omega_i, omega_o, values, weight):
         samples = prepare(omega_i, omega_o, values, weight)
         G = columns(common.C[:, 0], common.exponent[:, 0], samples.products)
-        # Lobes that the surface does not show are none here either.
-        G = G * jnp.append(True, jnp.any(common.scale > 0, axis=-1))[:, None] * samples.root_weight
+        # Lobes that the surface does not show are none here either, nor those that these samples hardly meet.
+        met = jnp.max(jnp.where(weight > 0, G[1:], 0), axis=1) >= _MET
+        G = G * jnp.append(True, met & jnp.any(common.scale > 0, axis=-1))[:, None] * samples.root_weight
         own = samples.values * samples.root_weight
         albedos = factors(G, own)
         energy = jnp.sum(own**2)

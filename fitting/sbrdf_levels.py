@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fitting.sbrdf import as_level, packed
+from fitting.sbrdf import as_level, packed, reached
 from fitting.solve import Options, fit_lobes
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.pairs import spread_pairs
@@ -71,6 +71,9 @@ def refitted(
         axis = _mean_axis(mine, share)
         mean = _mean_values(mine, axis, share, omega_i, omega_o)
         fits = fit_lobes(omega_i, omega_o, mean, weight, options=options)
+        known = reached(fits.brdf, *(a[None] for a in (omega_i, omega_o, weight)))
+        bounded = jnp.where(known[..., None], fits.brdf.scale, 0)
+        fits = dataclasses.replace(fits, brdf=dataclasses.replace(fits.brdf, scale=bounded))
         return np.asarray(packed(fits, jnp.arctan2(axis[:, 1], axis[:, 0]) / 2))
 
     rows = [chunk(start) for start in range(0, len(shares), CHUNK)]

@@ -9,11 +9,12 @@ import pytest
 
 from fitting import sbrdf
 from fitting.prediction import lambert_only, predicted, relative_error
-from fitting.sbrdf import fit_sbrdf
+from fitting.sbrdf import fit_sbrdf, reached
 from fitting.sbrdf_levels import coarser
 from fitting.solve import Options, Verdict
 from fitting.stack import Stack, load_stack, stack_of
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
+from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
 from tests.shared_data import shared
 
@@ -178,3 +179,13 @@ def test_photographs_held_out_are_predicted_better_than_by_lambert(name, every):
     levels = fit.level, lambert_only(seen, fit.level.normals)
     found, lambert = (relative_error(predicted(level, unseen), unseen) for level in levels)
     assert found < (0.7 if name == "diligent_ball" else 1) * lambert
+
+
+def test_peaks_that_no_sample_comes_near_are_told():
+    """Of an eye straight above and lamps at 60°, 0.5⁶⁹ of a lobe along the normal can be seen, and a half of n = 1."""
+    eye, lamp = np.array([[[0, 0, 1.0]]]), np.array([[[np.sqrt(0.75), 0, 0.5]]])
+    C = np.array([[[[0.5, 0.5, 1.0]], [[0.5, 0.5, 1.0]]]])
+    brdf = LobeSum(jnp.zeros((1, 3)), jnp.asarray(C), jnp.asarray([[[69.0], [1.0]]]), jnp.ones((1, 2, 3)))
+    assert reached(brdf, *map(jnp.asarray, (lamp, eye)), jnp.ones((1, 1))).tolist() == [[False, True]]
+    assert reached(brdf, jnp.asarray(eye), jnp.asarray(eye), jnp.ones((1, 1))).tolist() == [[True, True]]
+    assert reached(brdf, jnp.asarray(eye), jnp.asarray(eye), jnp.zeros((1, 1))).tolist() == [[False, False]]
