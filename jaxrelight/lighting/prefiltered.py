@@ -106,7 +106,7 @@ class Seen:
             horizon: "cut" lets each lobe's cosine and horizon move and sharpen it; "outside" multiplies by the cosine
                 of its peak (eq. 11), which counts light from below the surface.
             texels: "parameters" of an SBRDF are interpolated, or the "reflectance" of the four texels around, which
-                is right between unlike ones and takes four times as long.
+                is right between unlike ones and takes three to five times as long.
 
         Raises:
             InputError: for a BRDF that is no sum of lobes.
