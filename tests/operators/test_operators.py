@@ -13,6 +13,7 @@ from jax.test_util import check_grads
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.operators.clustered import Clustered, cluster
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.sparse_rows import _BLOCK, SparseRows, smallest_index_type, sparse_rows
@@ -35,6 +36,19 @@ def sparse(r: int, c: int, dtype, n: int = 5) -> tuple[SparseRows, np.ndarray]:
     matrix = np.zeros((r, c, D))
     np.put_along_axis(matrix, np.broadcast_to(indices[:, None], values.shape), values, axis=-1)
     return sparse_rows(jnp.asarray(indices), jnp.asarray(values), D), matrix
+
+
+def in_clusters(c: int, dtype, groups: int = 3, m: int = 4, q: int = 2, s: int = 9) -> tuple[Clustered, np.ndarray]:
+    """Rows that are mixtures of q, over s coefficients: which `cluster` finds."""
+    rng = np.random.default_rng(c)
+    matrix = np.zeros((groups, m, c, D))
+    for group in matrix:
+        chosen = rng.permutation(D)[:s]
+        group[..., chosen] = rng.normal(size=(m, c, q)) @ rng.normal(size=(q, s))
+    parts = zip(*(cluster(group, s, q) for group in matrix), strict=True)
+    support, basis, weights = (np.stack(part) for part in parts)
+    operator = Clustered(jnp.asarray(support, np.uint16), jnp.asarray(basis, dtype), jnp.asarray(weights, dtype), D)
+    return operator, matrix.reshape(-1, c, D)
 
 
 def stacked(dtype) -> tuple[Operator, np.ndarray]:
@@ -68,13 +82,15 @@ CASES = {
     "sparse grey": functools.partial(sparse, 7, 1),
     "sparse full blocks": functools.partial(sparse, 2 * _BLOCK, 1),
     "sparse over a block": functools.partial(sparse, _BLOCK + 3, 3),
+    "clustered": functools.partial(in_clusters, 3),
+    "clustered grey": functools.partial(in_clusters, 1),
     "stacked": stacked,
     "streamed": functools.partial(streamed, 3),
     "streamed grey": functools.partial(streamed, 1),
 }
-SMALL = ["dense", "sparse", "sparse grey", "stacked", "streamed", "streamed grey"]
+SMALL = ["dense", "sparse", "sparse grey", "clustered", "clustered grey", "stacked", "streamed", "streamed grey"]
 # `Streamed` reads its bits from the host; all others are plain pytrees. The stacked one holds one of each.
-PYTREES = ["sparse grey", "stacked"]
+PYTREES = ["sparse grey", "clustered", "stacked"]
 
 
 @functools.cache
@@ -102,7 +118,9 @@ def relative(found, expected) -> float:
 
 
 def other_values(operator):
-    """The same operator with twice the numbers."""
+    """The same operator with twice the numbers in its rows."""
+    if isinstance(operator, Clustered):
+        return eqx.tree_at(lambda one: one.weights, operator, 2 * operator.weights)
     return jax.tree.map(lambda x: 2 * x if eqx.is_inexact_array(x) else x, operator)
 
 
@@ -263,3 +281,13 @@ def test_indices_take_the_smallest_type_that_holds_them(columns, dtype):
     np.testing.assert_allclose(operator.apply(jnp.asarray(light)), [[6]])
     assert operator.shape == (1, columns, 1)
     np.testing.assert_array_equal(jnp.nonzero(operator.transpose(jnp.ones((1, 1))))[0], [0, columns - 1])
+
+
+def test_a_cluster_keeps_the_most_energy_that_its_size_can():
+    """By the singular values of what lies on the coefficients of most energy."""
+    rows = np.random.default_rng(0).normal(size=(6, 2, D)) * np.linspace(3, 0.1, D)
+    support, basis, weights = cluster(rows, 20, 4)
+    np.testing.assert_array_equal(support, np.sort(np.argsort(np.sum(rows**2, axis=(0, 1)))[-20:]))
+    inside = rows[:, :, support].reshape(12, -1)
+    left = np.linalg.norm(inside - (weights @ basis).reshape(12, -1))
+    np.testing.assert_allclose(left, np.linalg.norm(np.linalg.svd(inside, compute_uv=False)[4:]), rtol=1e-10)
