@@ -73,8 +73,12 @@ def decode(planes: Planes, lobes: int) -> SpatialLobes:
 
     Raises:
         KeyError: if a plane is missing, by its name.
+        ValueError: if codes of 8 bits are none.
     """
     planes = {name: np.asarray(plane, float) for name, plane in planes.items()}
+    for name, plane in planes.items():
+        if ".code." in name and not (plane == np.clip(np.rint(plane), 0, 255)).all():
+            raise ValueError(f"the channel '{name}' holds other numbers than bytes")
     if lobes:
         parts = [_decoded(planes, f"lobe{j}.") for j in range(lobes)]
         C, exponent, scale = (np.stack(part, axis=2) for part in zip(*parts, strict=True))

@@ -98,7 +98,14 @@ def without_diffuse(material: Material) -> Material:
     return Material(tuple(parts), material.normal_map)
 
 
-def factor_spatial(lobes: SpatialLobes, terms: int = 4, resolution: int = 48) -> tuple[SpatialFactors, Left]:
+def factor_spatial(
+    lobes: SpatialLobes,
+    terms: int = 4,
+    resolution: int = 48,
+    *,
+    tolerance: float = TOLERANCE,
+    most_shapes: int = MOST_SHAPES,
+) -> tuple[SpatialFactors, Left]:
     """Shared factors of a map's lobes, without its diffuse part, and what they leave out.
 
     Coarser levels of detail are means of the weights, and so of what the texels reflect.
@@ -107,6 +114,8 @@ def factor_spatial(lobes: SpatialLobes, terms: int = 4, resolution: int = 48) ->
         lobes: of which one at least reflects something.
         terms: K.
         resolution: side of the light and view maps.
+        tolerance: shapes are added until no more than this share of the lobes' root mean square is left by them …
+        most_shapes: … or there are so many.
     """
     h, w = lobes.shape
     every = _lobes_of(lobes)
@@ -114,7 +123,7 @@ def factor_spatial(lobes: SpatialLobes, terms: int = 4, resolution: int = 48) ->
     pairs = spread_pairs(_PAIRS)
     # As of factors: pairs at grazing angles are bright and seldom seen.
     at = jnp.sqrt(pairs[0][:, 2] * pairs[1][:, 2])
-    chosen = _shapes(every, strength, pairs, at)
+    chosen = _shapes(every, strength, pairs, at, tolerance, most_shapes)
     shapes = jax.tree.map(lambda leaf: leaf[chosen], every)
     basis = _values(shapes, *pairs) * at  # [b, p]
     weights, error = _weights(every, np.asarray(lobes.scale).reshape(h * w, lobes.lobes, -1), basis, pairs, at)
@@ -127,7 +136,6 @@ def factor_spatial(lobes: SpatialLobes, terms: int = 4, resolution: int = 48) ->
 def _lobes_of(lobes: SpatialLobes) -> LobeSum:
     """All lobes of all texels as grey BRDFs of one lobe and a peak of 1, one after the other."""
     texels, count = lobes.shape[0] * lobes.shape[1], lobes.lobes
-    # `at` has more to say of a lobe than its parameters: axes that are nothing, for one.
     turn = jnp.repeat(jnp.arctan2(lobes.axis[..., 1], lobes.axis[..., 0]).reshape(-1) / 2, count)
     total = texels * count
     return LobeSum(
@@ -149,7 +157,7 @@ def _values(lobes: LobeSum, omega_i, omega_o) -> Float[Array, "n p"]:
     return jax.lax.map(one, lobes, batch_size=64)
 
 
-def _shapes(every: LobeSum, strength: np.ndarray, pairs, at) -> Int[np.ndarray, " b"]:
+def _shapes(every: LobeSum, strength: np.ndarray, pairs, at, tolerance: float, most: int) -> Int[np.ndarray, " b"]:
     """The lobes that span the others best, by pivoted QR: each is the one of which the earlier ones miss most."""
     shine = np.flatnonzero(strength > 0)
     some = np.random.default_rng(0).choice(shine, min(_CANDIDATES, len(shine)), replace=False)
@@ -157,8 +165,8 @@ def _shapes(every: LobeSum, strength: np.ndarray, pairs, at) -> Int[np.ndarray, 
     found: Any = scipy.linalg.qr(columns, mode="r", pivoting=True)
     r, order = found
     left = np.cumsum(np.sum(r**2, axis=1)[::-1])[::-1]
-    enough = int(np.argmax(np.append(left, 0) <= TOLERANCE**2 * left[0]))
-    return some[order[: max(1, min(enough, MOST_SHAPES))]]
+    enough = int(np.argmax(np.append(left, 0) <= tolerance**2 * left[0]))
+    return some[order[: max(1, min(enough, most))]]
 
 
 def _weights(every: LobeSum, scale: Float[np.ndarray, "t l c"], basis, pairs, at) -> tuple[np.ndarray, float]:

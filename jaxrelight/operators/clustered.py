@@ -14,7 +14,7 @@ class Clustered(Operator):
     """Groups of m rows, each the product of weights and q shared rows, over coefficients that the group shares.
 
     Where a row of n coefficients of its own gathers n numbers of light, a group of m gathers s, once: what follows is
-    two dense products, of q·s and of m·q for every channel. Made by `clustered`.
+    two dense products, of q·s and of m·q for every channel. `cluster` makes one group.
 
     Attributes:
         support: numbers of the group's s coefficients, ascending.

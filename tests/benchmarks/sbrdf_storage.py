@@ -86,17 +86,17 @@ def measure(report: Report, side: int, size: int):
     report.table(["storage", *heads, "file", "write", "read"], rows)
 
 
-def half_C(lobes):  # noqa: N802 - the parameter's name
+def c_in_half(lobes):
     """C itself in half floats: what its power makes of their rounding."""
     return dataclasses.replace(lobes, C=np.asarray(lobes.C).astype(np.float16).astype(np.float32))
 
 
-def byte_C(lobes):  # noqa: N802
+def c_fixed_point(lobes):
     """C in steps of 1/127, not rescaled."""
     return dataclasses.replace(lobes, C=np.rint(np.asarray(lobes.C) * 127) / 127)
 
 
-def rescaled_C(lobes):  # noqa: N802
+def c_rescaled(lobes):
     """The same, of the length that keeps ratios best where the lobe is bright; the scale takes up the rest."""
     C, n = np.asarray(lobes.C), np.asarray(lobes.exponent)
     best, change, least = C, np.zeros_like(n), np.full(n.shape, np.inf)
@@ -132,9 +132,9 @@ def with_exponent(lobes, n):
 
 
 CHANGES: dict[str, Callable] = {
-    "half: C as it is": half_C,
-    "8 bit: C fixed point": byte_C,
-    "8 bit: C rescaled, as in the paper": rescaled_C,
+    "half: C as it is": c_in_half,
+    "8 bit: C fixed point": c_fixed_point,
+    "8 bit: C rescaled, as in the paper": c_rescaled,
     "8 bit: n as in the paper": paper_exponent,
     "8 bit: n by its logarithm": our_exponent,
 }

@@ -58,13 +58,13 @@ def test_with_many_terms_texels_are_themselves():
     assert missed < 0.04**2 * total
 
 
-def test_fewer_terms_and_shapes_leave_more(monkeypatch):
+def test_fewer_terms_and_shapes_leave_more():
     lobes = smooth(2, 3, 2)
     errors = [factor_spatial(lobes, terms, 16)[1] for terms in (2, 16)]
     assert errors[0].terms > 2 * errors[1].terms
     assert len({error.shapes for error in errors}) == 1
-    monkeypatch.setattr(spatial_factors, "MOST_SHAPES", 3)
-    assert factor_spatial(lobes, 2, 16)[1].shapes > errors[0].shapes + 0.01
+    assert factor_spatial(lobes, 2, 16, most_shapes=3)[1].shapes > errors[0].shapes + 0.01
+    assert errors[0].shapes < factor_spatial(lobes, 2, 16, tolerance=0.3)[1].shapes < 0.4
 
 
 def test_maps_of_one_lobe_have_the_factors_of_it():

@@ -121,4 +121,4 @@ def test_shared_factors_are_found_in_the_store_again_and_again_when_damaged(tmp_
 
 
 def _shared(folder) -> bool:
-    return "weights" in folder.joinpath("layout.json").read_text() if folder.joinpath("layout.json").exists() else True
+    return "weights" in folder.joinpath("layout.json").read_text()

@@ -118,6 +118,8 @@ def _level(path: pathlib.Path, number: int, planes: dict[str, np.ndarray]) -> Sb
         lobes = decode(planes, count)
     except KeyError as lacking:
         raise InputError(f"{path}: level {number} lacks the channel {lacking}; write it again") from None
+    except ValueError as wrong:
+        raise InputError(f"{path}: level {number}: {wrong}; write it again") from None
     normals = np.stack([planes[f"normal.{name}"] for name in "XYZ"], axis=-1).astype(float)
     diffuse, C, exponent, scale, axis = (
         np.asarray(array) for array in (lobes.diffuse, lobes.C, lobes.exponent, lobes.scale, lobes.axis)

@@ -127,3 +127,13 @@ def test_files_that_are_none_are_refused(tmp_path):
 
 def test_a_lobe_is_shared_by_the_channels():
     assert isinstance(spatial([level()]).components[0].brdf, SpatialLobes)
+
+
+@pytest.mark.parametrize("value", [256, 0.5, -1, np.nan])
+def test_codes_that_are_no_bytes_are_refused(tmp_path, value):
+    write_sbrdf(tmp_path / "a.exr", [level()], "8bit")
+    (part,) = read_channels(tmp_path / "a.exr", 2**20)
+    part["lobe1.code.D"][0, 2] = value
+    write_channels(tmp_path / "b.exr", [("level0", part)])
+    with pytest.raises(InputError, match=r"level 0: the channel 'lobe1\.code\.D' holds other numbers than bytes"):
+        read_sbrdf(tmp_path / "b.exr")
