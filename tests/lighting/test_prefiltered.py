@@ -268,3 +268,24 @@ def test_exponents_and_peaks_at_the_extremes_are_finite():
             seen = look_at(ball(brdf, dataclasses.replace(CAMERA, width=8, height=8)))
             assert np.isfinite(seen.under(filtered(32))).all()
             assert np.isfinite(seen.lit_by([directional([0, -1, 0], 1)])).all()
+
+
+@pytest.mark.parametrize("texels", ["parameters", "reflectance"])
+def test_texels_smaller_than_pixels_are_seen_at_coarser_levels(texels):
+    """A black map of grey levels, and a black texture of white ones: only who asks for levels sees anything."""
+    sizes = [2**n for n in range(8, -1, -1)]
+
+    def level(side: int, albedo: float) -> SpatialLobes:
+        none = jnp.zeros((side, side, 0, 3)), jnp.zeros((side, side, 0)), jnp.zeros((side, side, 0, 3))
+        return SpatialLobes(jnp.full((side, side, 3), albedo), *none, jnp.ones((side, side, 2)))
+
+    maps = dataclasses.replace(level(256, 0.0), coarser=tuple(level(side, 0.5) for side in sizes[1:]))
+    weight = Texture(jnp.zeros((256, 256, 1)), jnp.ones((sum(side**2 for side in sizes[1:]), 1)))
+    lamp, sky = [point([1, 2, 1], 3)], filtered(64)
+    for component in (Component(maps), Component(lobe_sum([0.5] * 3, []), (weight,))):
+        scene = Scene([Part(plane((8, 8), 2), "card")], {"card": Material((component,))}, CAMERA)
+        seen = look_at(scene)
+        for image in (seen.under(sky, texels=texels), seen.lit_by(lamp, shadows=False, texels=texels)):
+            assert np.asarray(image)[seen.covered].min() > 0
+    near = look_at(dataclasses.replace(scene, materials={"card": Material((Component(maps),))}), "none")
+    assert not np.asarray(near.under(sky, texels=texels)).any()

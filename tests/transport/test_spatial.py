@@ -7,9 +7,9 @@ import numpy as np
 
 import jaxrelight as jr
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.material import Component, Material, white_lambert
+from jaxrelight.brdf.material import Component, Material, textured_lambert, white_lambert
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.texture import constant
+from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.transport import precompute
 
 SETTINGS = jr.Settings("pixels", resolution=8)
@@ -122,3 +122,23 @@ def test_shared_factors_are_found_in_the_store_again_and_again_when_damaged(tmp_
 
 def _shared(folder) -> bool:
     return "weights" in folder.joinpath("layout.json").read_text()
+
+
+def test_pixels_bake_the_level_that_they_are_as_large_as(tmp_path):
+    """Texels of a black map are far smaller than pixels, and its coarser levels are not black."""
+    sides = [2**n for n in range(9, -1, -1)]
+
+    def level(side: int, albedo: float) -> SpatialLobes:
+        none = jnp.zeros((side, side, 0, 3)), jnp.zeros((side, side, 0)), jnp.zeros((side, side, 0, 3))
+        return SpatialLobes(jnp.full((side, side, 3), albedo), *none, jnp.ones((side, side, 2)))
+
+    maps = dataclasses.replace(level(sides[0], 0.0), coarser=tuple(level(side, 0.2) for side in sides[1:]))
+    found = _picture(Material((Component(maps),)), tmp_path / "maps")
+    wanted = _picture(LobeSum(jnp.full(3, 0.2), *_none()), tmp_path / "plain")
+    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
+
+
+def test_stripes_finer_than_pixels_are_their_mean(tmp_path):
+    stripes = jnp.broadcast_to((jnp.arange(512) % 2 * 1.0)[None, :, None], (512, 512, 3))
+    found = _picture(textured_lambert(Texture(stripes)), tmp_path / "stripes")
+    np.testing.assert_allclose(found, _picture(textured_lambert(constant([0.5] * 3)), tmp_path / "grey"), rtol=1e-3)
