@@ -7,7 +7,8 @@ details at [:m, m:2m], vertical at [m:2m, :m] and diagonal at [m:2m, m:2m].
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Float, Int
 
 
 def forward(faces: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
@@ -37,6 +38,15 @@ def inverse(coefficients: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
         average = jnp.stack([left, right], axis=-3).reshape(*average.shape[:-2], 2 * m, 2 * m) / 2
         m *= 2
     return average
+
+
+def levels(resolution: int) -> Int[np.ndarray, " d"]:
+    """The level of every coefficient of a 6×resolution² cube map: 0 for averages, then from coarse to fine."""
+    place = np.arange(resolution)
+    side = np.maximum(place[:, None], place)
+    # The number of binary digits: 0 at 0, l from 2^(l−1) on.
+    level = np.frexp(side.astype(np.float64))[1]
+    return np.tile(level.reshape(-1), 6)
 
 
 class HaarFaces(eqx.Module):

@@ -1,4 +1,4 @@
-"""What a camera sees: the surface point of every pixel."""
+"""What is seen along rays: the surface points of a camera's pixels, or of any others."""
 
 import dataclasses
 
@@ -17,6 +17,8 @@ _LEAST_COSINE = 1e-3
 class GBuffer:
     """Surface points seen through the centres of pixels that see any, and all pixels' directions.
 
+    Any set of rays may stand for the pixels.
+
     Attributes:
         covered: which pixels, row by row, see a surface; their points follow in that order.
         directions: unit world direction through every pixel.
@@ -33,8 +35,8 @@ class GBuffer:
         omega_o: unit direction back to the eye.
     """
 
-    covered: Bool[np.ndarray, "h w"]
-    directions: Float[np.ndarray, "h w 3"]
+    covered: Bool[np.ndarray, "*h"]
+    directions: Float[np.ndarray, "*h 3"]
     corners: Int[np.ndarray, "p 3"]
     barycentric: Float[np.ndarray, "p 3"]
     back: Bool[np.ndarray, " p"]
@@ -51,8 +53,22 @@ class GBuffer:
 def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer:
     """One ray through every pixel's centre."""
     directions = camera.directions()
-    flat = directions.reshape(-1, 3)
-    origin = np.broadcast_to(surfaces.to_scene(np.asarray(camera.origin)), flat.shape)
+    origins = np.broadcast_to(surfaces.to_scene(np.asarray(camera.origin)), directions.shape)
+    return trace_points(surfaces, tracer, origins, directions, camera.solid_angles())
+
+
+def trace_points(
+    surfaces: Surfaces,
+    tracer: Tracer,
+    origins: Float[np.ndarray, "*h 3"],
+    directions: Float[np.ndarray, "*h 3"],
+    solid_angles: Float[np.ndarray, "*h"],
+) -> GBuffer:
+    """The first surface point along each ray, which stands for a pixel of some solid angle.
+
+    Origins are in scene space; lift them off the surface that they are on.
+    """
+    flat, origin = directions.reshape(-1, 3), origins.reshape(-1, 3)
     face, weights = tracer.first_hits(origin, flat)
     covered = face >= 0
     face, weights = face[covered], weights[covered]
@@ -71,9 +87,9 @@ def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer
     positions = interpolated(surfaces.vertices)
     distance = np.linalg.norm(positions - origin[covered], axis=1)
     cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))
-    seen = camera.solid_angles().reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
+    seen = solid_angles.reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
     return GBuffer(
-        covered=covered.reshape(directions.shape[:2]),
+        covered=covered.reshape(directions.shape[:-1]),
         directions=directions,
         corners=corners,
         barycentric=weights,

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
+from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
-from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
@@ -164,8 +165,6 @@ def _add_block(
     corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
     # pixels p, corners b, terms k, channels c
     light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
-    view = jax.vmap(reflection.view_side_at)(pixels.omega_o, pixels.uv, pixels.footprint)
-    # One-sided: nothing is seen from below the shading normal.
-    radiance = jnp.where(pixels.omega_o[:, 2:] > 0, jnp.sum(view * light, axis=1), 0)
-    radiance = radiance * jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
+    view = outgoing(reflection, weight, pixels.omega_o, pixels.uv, pixels.footprint)
+    radiance = jnp.sum(view * light, axis=1)
     return image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)
