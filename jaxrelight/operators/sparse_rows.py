@@ -7,26 +7,28 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.quantised import Quantised, decoded
 
-# Rows of a block of the product: what a block gathers should stay in cache.
-_BLOCK = 2048
+# The most rows of a block of the product: what a block gathers should stay in cache.
+_BLOCK = 4096
 
 
 class SparseRows(Operator):
     """n coefficients a row, at indices shared by the channels. Made by `sparse_rows`.
 
-    Rows are held in blocks of m, the last one filled up with zeros. Every channel has an array of its own: a slice of
-    a common one would be copied at each use.
+    Rows are held in blocks of m, as few as can be, the last one filled up with zeros. Every channel has an array of
+    its own: a slice of a common one would be copied at each use.
 
     Attributes:
         indices: ascending coefficient numbers, in the smallest unsigned type that holds them.
-        values: the coefficients of c channels, or of 1 where the rows are the same in all of them (grey).
+        values: the coefficients of c channels, or of 1 where the rows are the same in all of them (grey); as they are,
+            or quantised (§4.1.2), to be decoded block by block.
         row_count: r, without the filling.
         columns: d, the number of light coefficients.
     """
 
     indices: Int[Array, "b m n"]
-    values: tuple[Float[Array, "b m n"], ...]
+    values: tuple[Float[Array, "b m n"] | Quantised, ...]
     row_count: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
 
@@ -54,9 +56,9 @@ class SparseRows(Operator):
         by_channel = tuple(light[:, c] for c in channels)
 
         def block(part):
-            indices, values = part[0].astype(jnp.int32), part[1]
+            indices, values = part[0].astype(jnp.int32), [decoded(channel) for channel in part[1]]
             gathered = [by_channel[c].at[indices].get(mode="promise_in_bounds") for c in channels]
-            return jnp.stack([jnp.sum(values[c % len(values)] * gathered[c], axis=-1) for c in channels])
+            return jnp.stack([_sum(values[c % len(values)] * gathered[c]) for c in channels])
 
         products = jax.lax.map(block, (self.indices, self.values))
         # blocks b, channels c, rows m of a block
@@ -67,44 +69,52 @@ class SparseRows(Operator):
         b, m, _ = self.indices.shape
         indices = self.indices.astype(jnp.int32)
         filled = jnp.pad(radiance, ((0, b * m - self.row_count), (0, 0))).reshape(b, m, 1, -1)
-        out = jnp.zeros((self.columns,), jnp.result_type(radiance, self.values[0]))
+        values = [decoded(channel) for channel in self.values]
+        out = jnp.zeros((self.columns,), jnp.result_type(radiance, values[0]))
         sums = [
-            out.at[indices].add(self.values[c % len(self.values)] * filled[..., c], mode="promise_in_bounds")
+            out.at[indices].add(values[c % len(values)] * filled[..., c], mode="promise_in_bounds")
             for c in range(radiance.shape[1])
         ]
         return jnp.stack(sums, axis=-1)
 
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows, zero where nothing was kept."""
-        n = self.indices.shape[-1]
-        kept = self.indices.reshape(-1, n)[indices].astype(jnp.int32)
-        values = jnp.stack([channel.reshape(-1, n)[indices] for channel in self.values], axis=1)
+        kept, channels = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1])[indices], (self.indices, self.values))
+        kept, values = kept.astype(jnp.int32), jnp.stack([decoded(channel) for channel in channels], axis=1)
         empty = jnp.zeros((*values.shape[:2], self.columns), values.dtype)
         return jax.vmap(lambda row, i, v: row.at[:, i].add(v))(empty, kept, values)
 
 
+def _sum(products: Float[Array, "m n"]) -> Float[Array, " m"]:
+    """Sums of rows, as a product with ones: XLA makes the products in one loop then, in two before a sum."""
+    return jnp.matmul(products, jnp.ones(products.shape[-1], products.dtype), precision="highest")
+
+
 def sparse_rows(
-    indices: Int[Array | np.ndarray, "r n"], values: Float[Array | np.ndarray, "r c n"], columns: int, held: int = 0
+    indices: Int[Array | np.ndarray, "r n"],
+    values: Float[Array | np.ndarray, "r c n"] | Quantised,
+    columns: int,
+    held: int = 0,
 ) -> SparseRows:
     """A row-sparse operator over `columns` light coefficients; indices must be below that.
 
     At least `held` rows are held, those past r filled with zeros, so that operators of many sizes have few shapes.
     NumPy arrays are put into blocks by NumPy, so that nothing is compiled for their shapes.
     """
-    r, c, n = values.shape
+    r, c, _ = values.shape
     held = max(held, r)
-    m = min(_BLOCK, held)
-    b = -(-held // m)
-    host = isinstance(indices, np.ndarray) and isinstance(values, np.ndarray)
+    b = -(-held // _BLOCK)
+    m = -(-held // b)
+    host = all(isinstance(array, np.ndarray) for array in jax.tree.leaves((indices, values)))
 
     def blocks(rows) -> Array:
         padding = (0, b * m - r), (0, 0)
-        return (
-            jax.device_put(np.pad(rows, padding).reshape(b, m, n)) if host else jnp.pad(rows, padding).reshape(b, m, n)
-        )
+        shape = b, m, rows.shape[-1]
+        return jax.device_put(np.pad(rows, padding).reshape(shape)) if host else jnp.pad(rows, padding).reshape(shape)
 
     indices = indices.astype(smallest_index_type(columns))
-    return SparseRows(blocks(indices), tuple(blocks(values[:, i]) for i in range(c)), r, columns)
+    channels = tuple(jax.tree.map(lambda rows, i=i: blocks(rows[:, i]), values) for i in range(c))
+    return SparseRows(blocks(indices), channels, r, columns)
 
 
 def smallest_index_type(columns: int) -> np.dtype:

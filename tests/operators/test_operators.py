@@ -16,6 +16,7 @@ from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.operators.clustered import Clustered, cluster
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
+from jaxrelight.operators.quantised import decoded, quantised
 from jaxrelight.operators.sparse_rows import _BLOCK, SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
@@ -29,13 +30,15 @@ def dense(r: int, c: int, dtype) -> tuple[Operator, np.ndarray]:
     return Dense(jnp.asarray(matrix)), matrix.astype(float)
 
 
-def sparse(r: int, c: int, dtype, n: int = 5) -> tuple[SparseRows, np.ndarray]:
+def sparse(r: int, c: int, dtype, n: int = 5, bits: int | None = None) -> tuple[SparseRows, np.ndarray]:
+    """With bits, quantised in runs of 3, and the matrix that of the quantised rows."""
     rng = np.random.default_rng(r)
     indices = np.sort(rng.random((r, D)).argsort(axis=-1)[:, :n], axis=-1)
-    values = rng.normal(size=(r, c, n)).astype(dtype)
+    values = jnp.asarray(rng.normal(size=(r, c, n)).astype(dtype))
+    values = quantised(values, bits, 3) if bits else values
     matrix = np.zeros((r, c, D))
-    np.put_along_axis(matrix, np.broadcast_to(indices[:, None], values.shape), values, axis=-1)
-    return sparse_rows(jnp.asarray(indices), jnp.asarray(values), D), matrix
+    np.put_along_axis(matrix, np.broadcast_to(indices[:, None], values.shape), np.asarray(decoded(values)), axis=-1)
+    return sparse_rows(jnp.asarray(indices), values, D), matrix
 
 
 def in_clusters(c: int, dtype, groups: int = 3, m: int = 4, q: int = 2, s: int = 9) -> tuple[Clustered, np.ndarray]:
@@ -82,15 +85,18 @@ CASES = {
     "sparse grey": functools.partial(sparse, 7, 1),
     "sparse full blocks": functools.partial(sparse, 2 * _BLOCK, 1),
     "sparse over a block": functools.partial(sparse, _BLOCK + 3, 3),
+    "sparse in 8 bits": functools.partial(sparse, _BLOCK + 3, 3, bits=8),
+    "sparse in 16 bits, grey": functools.partial(sparse, 7, 1, bits=16),
     "clustered": functools.partial(in_clusters, 3),
     "clustered grey": functools.partial(in_clusters, 1),
     "stacked": stacked,
     "streamed": functools.partial(streamed, 3),
     "streamed grey": functools.partial(streamed, 1),
 }
-SMALL = ["dense", "sparse", "sparse grey", "clustered", "clustered grey", "stacked", "streamed", "streamed grey"]
+SMALL = ["dense", "sparse", "sparse grey", "sparse in 16 bits, grey", "clustered", "clustered grey"]
+SMALL += ["stacked", "streamed", "streamed grey"]
 # `Streamed` reads its bits from the host; all others are plain pytrees. The stacked one holds one of each.
-PYTREES = ["sparse grey", "clustered", "stacked"]
+PYTREES = ["sparse grey", "sparse in 16 bits, grey", "clustered", "stacked"]
 
 
 @functools.cache
@@ -269,6 +275,14 @@ def test_stacked_rows_start_where_the_last_operators_end():
     assert isinstance(operator, Stacked)
     assert operator.starts == [0, 7, 11, 16]
     assert operator.nbytes == sum(part.nbytes for part in operator.operators)
+
+
+@pytest.mark.parametrize("rows", [1, 7, _BLOCK, _BLOCK + 1, 3 * _BLOCK - 5])
+def test_blocks_are_few_and_hardly_filled_up(rows):
+    operator = sparse_rows(np.zeros((rows, 1), np.uint16), np.ones((rows, 1, 1), np.float32), D)
+    blocks, size, _ = operator.indices.shape
+    assert blocks == -(-rows // _BLOCK)
+    assert 0 <= blocks * size - rows < blocks
 
 
 @pytest.mark.parametrize(("columns", "dtype"), [(96, np.uint16), (2**16, np.uint16), (2**16 + 1, np.uint32)])
