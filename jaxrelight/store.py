@@ -28,7 +28,7 @@ import pathlib
 import re
 import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 import zstandard
@@ -81,7 +81,7 @@ class Layer:
 
     Attributes:
         folder: where the files are; its name is part of their labels.
-        arrays: shape of one group's part, and type, by name.
+        arrays: shape of one group's part, and type, by name; -1 for a length that differs from group to group.
         groups: how many there are.
         done: those that are there.
     """
@@ -121,10 +121,16 @@ class Layer:
         Raises:
             InputError: if the disk is full or must not be written to; what was written before stays.
         """
-        assert {name: (np.shape(a), np.asarray(a).dtype) for name, a in arrays.items()} == self.arrays
+        assert arrays.keys() == self.arrays.keys()
+        assert all(self._fits(name, array) for name, array in arrays.items())
         with _told(self.folder):
             _write(self._path(group), encode_arrays(self._label(group), arrays))
         self.done.add(group)
+
+    def _fits(self, name: str, array: np.ndarray) -> bool:
+        shape, dtype = self.arrays[name]
+        same = len(shape) == array.ndim and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
+        return same and array.dtype == dtype
 
     def read(self, name: str, group: int | None = None) -> np.ndarray:
         """One group of an array, or all of them; see `read_all`."""
@@ -132,8 +138,17 @@ class Layer:
             return self.read_all([name])[name]
         return self._read(group, [name])[name]
 
+    def read_groups(self) -> Iterator[dict[str, np.ndarray]]:
+        """All arrays of one group after the other.
+
+        Raises:
+            InputError: as `read_all`.
+        """
+        for group in range(self.groups):
+            yield self._read(group, list(self.arrays))
+
     def read_all(self, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
-        """Several arrays of all groups, by default all of them; every file is read once.
+        """Several arrays of all groups, by default all of them, whose lengths are all known; every file is read once.
 
         Raises:
             InputError: if what is on disk is not what was written.
@@ -159,7 +174,7 @@ class Layer:
         try:
             arrays = decode_arrays(self._label(group), path.read_bytes(), names)
             for name in names:
-                if (arrays[name].shape, arrays[name].dtype) != self.arrays[name]:
+                if not self._fits(name, arrays[name]):
                     raise ValueError(f"'{name}' has another shape or type than the layer")
         except FileNotFoundError:
             raise InputError(f"{path} is missing; run precompute again: it makes what is missing") from None
@@ -193,7 +208,7 @@ def make_layer(folder: pathlib.Path, arrays: Mapping[str, tuple[tuple[int, ...],
 
     Args:
         folder: named by the hash of all that the layer follows from, this function's other arguments too.
-        arrays: shape of one group's part, and type, by name.
+        arrays: shape of one group's part, and type, by name; -1 for a length that differs from group to group.
         groups: how many.
 
     Raises:

@@ -17,9 +17,12 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
+from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
-from jaxrelight.transport.load import Block, Transport, load, padded_receivers
+from jaxrelight.operators.streamed import Streamed
+from jaxrelight.transport.compression import padded_receivers
+from jaxrelight.transport.load import Block, Transport, load
 
 # Light terms [receivers, k, c] of every block of the operator.
 LightTerms = tuple[Float[Array, "v k c"], ...]
@@ -116,7 +119,11 @@ def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Floa
     """One block's light terms, compiled unless the operator reads a store as it goes."""
     receivers = padded_receivers(len(block.groups) * GROUP)
     if isinstance(operator, SparseRows):
-        return _compiled_terms(operator.with_filling(), light, receivers, block.reflection.terms)
+        operator = operator.with_filling()
+    if isinstance(operator, Clustered):
+        operator = operator.with_filling(receivers // GROUP)
+    if not isinstance(operator, Streamed):
+        return _compiled_terms(operator, light, receivers, block.reflection.terms)
     product = operator.apply(light).reshape(-1, block.reflection.terms, light.shape[1])
     return jnp.pad(product, ((0, receivers - len(product)), (0, 0), (0, 0)))
 

@@ -70,6 +70,12 @@ class Clustered(Operator):
         """(r, d, c)."""
         return len(self.place) * self.group_rows, self.columns, self.channels
 
+    def with_filling(self, groups: int) -> "Clustered":
+        """The same, followed by groups of nothing up to a number: of one shape for many numbers of groups."""
+        end = sum(len(part.groups) for part in self.buckets)
+        place = jnp.pad(self.place, (0, groups - len(self.place)), constant_values=end)
+        return Clustered(self.buckets, place, self.group_rows, self.channels, self.columns)
+
     @property
     def nbytes(self) -> int:
         """Bytes of supports, shared rows and weights, with their filling."""

@@ -20,7 +20,6 @@ from jaxrelight.brdf.reflection import FixedView, Reflection, of_group
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
 from jaxrelight.brdf.spatial_factors import SpatialFactors
 from jaxrelight.brdf.texture import Texture, Weight, constant
-from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame, to_local
@@ -33,6 +32,7 @@ from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
+from jaxrelight.transport.compression import compression, padded_receivers
 from jaxrelight.transport.normal_maps import NormalMaps, at_vertices, see
 from jaxrelight.transport.settings import Settings
 
@@ -177,10 +177,9 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
             layer = _whole_layer(folder / record["transport"])
             if layer.groups != len(groups):
                 raise InputError(f"{layer.folder}: geometry and transport do not belong together; precompute again")
-            arrays = layer.read_all()
-            operators.append(_sparse_rows(layer.folder, arrays["indices"], arrays["values"], settings))
-            dropped = arrays["dropped"].reshape(-1, reflection.channels)
-            total += float(arrays["total"].sum(dtype=float)) * 3 / reflection.channels
+            operator, dropped, energy = compression(settings).open(layer)
+            operators.append(operator)
+            total += float(energy.sum(dtype=float)) * 3 / energy.shape[1]
         weight = tuple(read_texture(folder, entry) for entry in record["weight"])
         blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped))
     dropped = [block.dropped for block in blocks if block.dropped is not None]
@@ -393,17 +392,3 @@ def _minified(pixels: Float[Array, "h w c"]) -> Texture:
 def _read_table(folder: pathlib.Path, name: str) -> np.ndarray:
     """A long array of a BRDF, from its layer."""
     return store.open_layer(folder / name).read("values", 0)
-
-
-def padded_receivers(count: int) -> int:
-    """For how many receivers light terms of a material are computed: zeros past `count`, which nobody reads."""
-    return bucket(count, 8 * GROUP)
-
-
-def _sparse_rows(folder: pathlib.Path, indices: np.ndarray, values: np.ndarray, settings: Settings) -> SparseRows:
-    """The operator of one block, from its layer's arrays [g, m, k, …]."""
-    if indices.max() >= 6 * settings.resolution**2:
-        raise InputError(f"{folder}: indices are out of range; delete this folder and run precompute again")
-    g, m, k, c, n = values.shape
-    held = padded_receivers(g * m) * k
-    return sparse_rows(indices.reshape(-1, n), values.reshape(-1, c, n), 6 * settings.resolution**2, held)

@@ -18,13 +18,12 @@ import numpy as np
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
-from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import COSINE, check_terms, factor
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.record import to_record
-from jaxrelight.brdf.reflection import Reflection, of_group
+from jaxrelight.brdf.reflection import of_group
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import Left, SpatialFactors, factor_spatial, without_diffuse
@@ -34,9 +33,8 @@ from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
-from jaxrelight.operators.sparse_rows import smallest_index_type
 from jaxrelight.scene import Scene
-from jaxrelight.transport import bake
+from jaxrelight.transport.compression import Compression, compression
 from jaxrelight.transport.load import Placed, fixed_view, frames_of, read_factors, read_spatial_factors, receivers_of
 from jaxrelight.transport.settings import Settings
 from jaxrelight.transport.visibility import trace_visibility
@@ -154,12 +152,15 @@ def precompute(
                     # The name of the factors tells their number and their resolution.
                     own = isinstance(brdf, SpatialLobes) and settings.receivers == "pixels"
                     uv_key = store.key_of(surfaces.uv, footprint) if own else None
-                    same = visibility_key, number, described, factors, settings.coefficients, frames_key
+                    dial = settings.coefficients if settings.operator == "rows" else ["clusters", settings.tolerance]
+                    same = visibility_key, number, described, factors, dial, frames_key
                     key = store.key_of(*same, *([uv_key] if uv_key else []))
-                    layer = _transport_layer(folder / f"transport-{key}", reflection, settings, len(groups))
+                    kept = compression(settings)
+                    layout = kept.layout(reflection.terms, reflection.channels)
+                    layer = store.make_layer(folder / f"transport-{key}", layout, len(groups))
                     if layer.missing:
                         frames, filled = frames_of(receivers, groups), receivers.filled[groups]
-                        _bake_groups(layer, visibility, groups, filled, frames, reflection, settings, name, report)
+                        _bake_groups(layer, visibility, groups, filled, frames, reflection, kept, name, report)
                     record["transport"] = layer.folder.name
                 materials.append(record)
 
@@ -297,22 +298,6 @@ def _factors(
     return factors, path.name, None
 
 
-def _transport_layer(folder: pathlib.Path, reflection: Reflection, settings: Settings, groups: int) -> store.Layer:
-    k, c, n = reflection.terms, reflection.channels, int(settings.coefficients)
-    index = smallest_index_type(6 * settings.resolution**2)
-    real = np.dtype(np.float32)
-    return store.make_layer(
-        folder,
-        {
-            "indices": ((GROUP, k, n), index),
-            "values": ((GROUP, k, c, n), real),
-            "dropped": ((GROUP, k, c), real),
-            "total": ((GROUP, k, c), real),
-        },
-        groups,
-    )
-
-
 def _complete(layer: store.Layer, filled: np.ndarray, make: Callable[[int], None], report: Callable[[int, int], None]):
     """Runs make(group), which writes it, for all missing groups of a layer, on all cores; stops at the first error.
 
@@ -356,22 +341,9 @@ def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, dire
     return sum(rays)
 
 
-def _bake_groups(layer, visibility, groups, filled, frames, reflection, settings: Settings, name: str, report: Report):
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    basis = HaarFaces(settings.resolution)
-    index = smallest_index_type(6 * settings.resolution**2)
-
+def _bake_groups(layer, visibility, groups, filled, frames, reflection, kept: Compression, name: str, report: Report):
     def make(i: int):
         bits = jnp.asarray(visibility.read("bits", int(groups[i])))
-        kept = bake.bake_truncated(
-            bits, frames[i], of_group(reflection, i), directions, basis, int(settings.coefficients)
-        )
-        layer.write(
-            i,
-            indices=np.asarray(kept.indices).astype(index),
-            values=np.asarray(kept.values),
-            dropped=np.asarray(kept.dropped),
-            total=np.asarray(kept.total),
-        )
+        layer.write(i, **kept.compress(bits, frames[i], of_group(reflection, i)))
 
     _complete(layer, filled, make, functools.partial(report, f"transport of {name}"))

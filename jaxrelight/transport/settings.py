@@ -18,6 +18,9 @@ class Settings:
         coefficients: wavelet coefficients kept in each row, or "all": nothing is compressed, rows are baked from the
             stored visibility at every change of light.
         factor_resolution: side of the maps of BRDF factors.
+        operator: "rows" keep `coefficients` each; "clusters" of near receivers share as few rows as `tolerance` allows.
+        tolerance: largest error that may be left in the radiance of a group under natural light, relative to its
+            root-mean-square.
     """
 
     receivers: Literal["vertices", "pixels"] = "vertices"
@@ -26,6 +29,8 @@ class Settings:
     terms: int = 4
     coefficients: int | Literal["all"] = 128
     factor_resolution: int = 48
+    operator: Literal["rows", "clusters"] = "rows"
+    tolerance: float = 0.02
 
     def __post_init__(self):
         def require(good: bool, message: str):
@@ -45,6 +50,12 @@ class Settings:
         require(self.terms >= 1, f"terms are {self.terms}; at least 1 is needed")
         side = self.factor_resolution
         require(4 <= side <= 128, f"factor resolution is {side}; it must be from 4 to 128")
+        require(self.operator in ("rows", "clusters"), f"operator is 'rows' or 'clusters', not '{self.operator}'")
+        real = isinstance(self.tolerance, (int, float)) and not isinstance(self.tolerance, bool)
+        require(
+            real and 0 <= self.tolerance < 1,
+            f"tolerance is {self.tolerance!r}; it must be at least 0, which leaves nothing out, and below 1",
+        )
         if self.coefficients != "all":
             limit = 6 * n * n
             require(
