@@ -2,8 +2,7 @@
 
 A scale for every run of 16 neighbours in a row is compared with one for the row, and with one for each of its wavelet
 levels. The last is not offered: in about as many bytes it leaves larger errors under all lights but one, and its scales
-would have to be gathered. Neighbours do better because a run lies in few faces of the cube map, and the largest
-coefficient of each run, often the mean of a face, is kept to rounding.
+would have to be gathered. The largest coefficient of every run is kept to rounding.
 """
 
 import argparse
