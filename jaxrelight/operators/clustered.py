@@ -12,7 +12,8 @@ import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Operator
-from jaxrelight.operators.sparse_rows import smallest_index_type
+from jaxrelight.operators.quantised import decoded
+from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type
 
 
 class Cluster(NamedTuple):
@@ -160,6 +161,24 @@ def clustered(clusters: Sequence[Cluster], columns: int) -> Clustered:
         start += b
     place[place < 0] = start
     return Clustered(tuple(buckets), jax.device_put(place), r, c, columns)
+
+
+def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) -> Clustered:
+    """Clusters of rows that each have coefficients of their own, as near to them as a tolerance."""
+    n = operator.indices.shape[-1]
+    indices = np.asarray(operator.indices).reshape(-1, n)[: operator.row_count].reshape(-1, group_rows, n)
+    values = [np.asarray(decoded(channel)).reshape(-1, n)[: operator.row_count] for channel in operator.values]
+    by_group = np.stack(values, axis=1).reshape(len(indices), group_rows, len(values), n)
+    found = []
+    for kept, coefficients in zip(indices, by_group, strict=True):
+        columns, place = np.unique(kept, return_inverse=True)
+        rows = np.zeros((*coefficients.shape[:2], len(columns)), np.float32)
+        np.put_along_axis(
+            rows, np.broadcast_to(place.reshape(kept.shape)[:, None], coefficients.shape), coefficients, 2
+        )
+        (support, basis, weights), _ = cluster(rows, np.ones(len(columns), np.float32), tolerance)
+        found.append(Cluster(columns[support], basis, weights))
+    return clustered(found, operator.columns)
 
 
 def _rounded(count: int, least: int) -> int:

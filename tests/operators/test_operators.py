@@ -13,7 +13,7 @@ from jax.test_util import check_grads
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.geometry.frame import tangent_frame
-from jaxrelight.operators.clustered import Clustered, cluster
+from jaxrelight.operators.clustered import Clustered, cluster, clustered
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.quantised import decoded, quantised
@@ -42,16 +42,15 @@ def sparse(r: int, c: int, dtype, n: int = 5, bits: int | None = None) -> tuple[
 
 
 def in_clusters(c: int, dtype, groups: int = 3, m: int = 4, q: int = 2, s: int = 9) -> tuple[Clustered, np.ndarray]:
-    """Rows that are mixtures of q, over s coefficients: which `cluster` finds."""
+    """Rows that are mixtures of up to q over up to s coefficients, the last group's black: which `cluster` finds."""
     rng = np.random.default_rng(c)
     matrix = np.zeros((groups, m, c, D))
-    for group in matrix:
-        chosen = rng.permutation(D)[:s]
-        group[..., chosen] = rng.normal(size=(m, c, q)) @ rng.normal(size=(q, s))
-    parts = zip(*(cluster(group, s, q) for group in matrix), strict=True)
-    support, basis, weights = (np.stack(part) for part in parts)
-    operator = Clustered(jnp.asarray(support, np.uint16), jnp.asarray(basis, dtype), jnp.asarray(weights, dtype), D)
-    return operator, matrix.reshape(-1, c, D)
+    for fewer, group in enumerate(matrix[:-1]):
+        chosen = rng.permutation(D)[: s - fewer]
+        group[..., chosen] = rng.normal(size=(m, c, q)) @ rng.normal(size=(q, s - fewer))
+    found = [cluster(group, np.ones(D), 1e-6)[0] for group in matrix]
+    operator = clustered(found, D)
+    return jax.tree.map(lambda x: x.astype(dtype) if x.dtype == np.float32 else x, operator), matrix.reshape(-1, c, D)
 
 
 def stacked(dtype) -> tuple[Operator, np.ndarray]:
@@ -126,7 +125,7 @@ def relative(found, expected) -> float:
 def other_values(operator):
     """The same operator with twice the numbers in its rows."""
     if isinstance(operator, Clustered):
-        return eqx.tree_at(lambda one: one.weights, operator, 2 * operator.weights)
+        return eqx.tree_at(lambda one: one.buckets[0].weights, operator, 2 * operator.buckets[0].weights)
     return jax.tree.map(lambda x: 2 * x if eqx.is_inexact_array(x) else x, operator)
 
 
@@ -297,11 +296,48 @@ def test_indices_take_the_smallest_type_that_holds_them(columns, dtype):
     np.testing.assert_array_equal(jnp.nonzero(operator.transpose(jnp.ones((1, 1))))[0], [0, columns - 1])
 
 
-def test_a_cluster_keeps_the_most_energy_that_its_size_can():
-    """By the singular values of what lies on the coefficients of most energy."""
+def test_a_cluster_leaves_out_what_may_be_left_out():
+    """Half by the coefficients of least energy, half by the singular values of the others."""
     rows = np.random.default_rng(0).normal(size=(6, 2, D)) * np.linspace(3, 0.1, D)
-    support, basis, weights = cluster(rows, 20, 4)
-    np.testing.assert_array_equal(support, np.sort(np.argsort(np.sum(rows**2, axis=(0, 1)))[-20:]))
+    spectrum = np.linspace(1, 2, D)
+    (support, basis, weights), dropped = cluster(rows, spectrum, 0.3)
+    power = np.sum((rows * spectrum) ** 2, axis=(0, 1))
+    may = 0.3**2 / 2 * power.sum()
+    fewest = np.argsort(power)[-len(support) :]
+    np.testing.assert_array_equal(support, np.sort(fewest))
+    assert power.sum() - power[support].sum() <= may < power.sum() - power[fewest[1:]].sum()
     inside = rows[:, :, support].reshape(12, -1)
-    left = np.linalg.norm(inside - (weights @ basis).reshape(12, -1))
-    np.testing.assert_allclose(left, np.linalg.norm(np.linalg.svd(inside, compute_uv=False)[4:]), rtol=1e-10)
+    tail = np.linalg.svd(inside * spectrum[support], compute_uv=False) ** 2
+    assert tail[len(basis) :].sum() <= may < tail[len(basis) - 1 :].sum()
+    mixed = np.einsum("cqr,qs->rcs", weights, basis)
+    left = np.sum(((inside - mixed.reshape(12, -1)) * spectrum[support]) ** 2)
+    np.testing.assert_allclose(left, tail[len(basis) :].sum(), rtol=1e-5)
+    whole = np.array(rows)
+    whole[:, :, support] -= mixed
+    np.testing.assert_allclose(dropped, np.sum(whole**2, axis=-1), rtol=1e-5)
+
+
+def test_clusters_are_as_small_as_what_they_hold():
+    matrix = np.zeros((4, 6, 1, D))
+    rng = np.random.default_rng(1)
+    matrix[1] = rng.normal(size=(6, 1, 1)) * rng.normal(size=D)
+    found = [cluster(group, np.ones(D), 1e-3)[0] for group in matrix]
+    assert [basis.shape[0] for _, basis, _ in found] == [0, 1, 0, 0]
+    operator = clustered(found, D)
+    assert [part.basis.shape for part in operator.buckets] == [(8, 8, 96)]
+    assert relative(operator.to_matrix(), matrix.reshape(-1, 1, D)) < 1e-3
+    black = clustered(found[2:], D)
+    np.testing.assert_array_equal(black.apply(random(D, 3)), np.zeros((12, 3)))
+    np.testing.assert_array_equal(black.transpose(random(12, 3)), np.zeros((D, 3)))
+    assert black.nbytes < 100
+
+
+@pytest.mark.parametrize("scale", [1e-18, 1.0, 1e18])
+def test_clusters_do_not_depend_on_the_unit_of_light(scale):
+    rows = np.random.default_rng(0).normal(size=(6, 2, D)).astype(np.float32)
+    (one, _, _), _ = cluster(rows, np.ones(D), 0.1)
+    (support, basis, weights), dropped = cluster(rows * np.float32(scale), np.ones(D), 0.1)
+    np.testing.assert_array_equal(support, one)
+    assert np.isfinite(dropped).all()
+    mixed = np.einsum("cqr,qs->rcs", weights, basis)
+    assert relative(mixed / scale, rows[:, :, support]) < 0.1
