@@ -8,7 +8,8 @@
       factors-KEY/             of a BRDF
       texture-KEY/             pixels
       table-KEY/               a long array of a measured BRDF
-      transport-KEY/           kept coefficients, energies
+      transport-KEY/           kept coefficients, energies; with bounced light, if there is any, also of each pass
+      bounced-KEY/             the same of bounced light alone, where direct light is not compressed
         layout.json            names, shapes and types of the arrays
         000000, 000001 …       the arrays of one group of receivers each
 
@@ -257,9 +258,10 @@ def layers_of(header: Mapping) -> list[str]:
     named = [(kind, header[kind]) for kind in ("geometry", "visibility")]
     named.append(("environment", (header["environment"] or {}).get("pixels")))
     for material in header["materials"]:
-        named += [(kind, material.get(kind)) for kind in ("factors", "transport")]
+        named += [(kind, material.get(kind)) for kind in ("factors", "transport", "bounced")]
         named += [("texture", entry) for entry in (material["normal_map"], *material["weight"])]
         named += [("table", entry.get("layer")) for entry in material["brdf"]["arrays"].values()]
+    named += [(name.partition("-")[0], name) for one in header.get("passes", []) for name in one]
     names = [(kind, name) for kind, name in named if isinstance(name, str)]
     for kind, name in names:
         if not re.fullmatch(f"{kind}-[0-9a-f]{{16}}", name):

@@ -27,6 +27,8 @@ LAYERS = (
     ("demo_scene", "transport.compression"),
     ("transport.load",),
     ("mesh_scene",),
+    ("transport.bounce",),
+    ("transport.layers",),
     ("transport.precompute",),
     ("lighting",),
     ("commands",),

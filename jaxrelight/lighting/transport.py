@@ -20,7 +20,6 @@ from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
-from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.load import Block, Transport, load
 
@@ -119,11 +118,10 @@ def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Floa
     """One block's light terms, compiled unless the operator reads a store as it goes."""
     receivers = padded_receivers(len(block.groups) * GROUP)
     if isinstance(operator, SparseRows):
-        operator = operator.with_filling()
+        return _compiled_terms(operator.with_filling(), light, receivers, block.reflection.terms)
     if isinstance(operator, Clustered):
-        operator = operator.with_filling(receivers // GROUP)
-    if not isinstance(operator, Streamed):
-        return _compiled_terms(operator, light, receivers, block.reflection.terms)
+        filled = operator.with_filling(receivers // GROUP)
+        return _compiled_terms(filled, light, receivers, block.reflection.terms)
     product = operator.apply(light).reshape(-1, block.reflection.terms, light.shape[1])
     return jnp.pad(product, ((0, receivers - len(product)), (0, 0), (0, 0)))
 

@@ -1,12 +1,21 @@
 """What every transport operator offers."""
 
 import abc
+from typing import Protocol
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
 from jaxtyping import Array, Float, Int
+
+
+class Basis(Protocol):
+    """An orthonormal basis of functions on d texels: `decode` is the inverse, and the transpose, of `encode`."""
+
+    def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]: ...  # noqa: D102
+
+    def decode(self, coefficients: Float[Array, "... d"]) -> Float[Array, "... d"]: ...  # noqa: D102
 
 
 class Operator(eqx.Module):

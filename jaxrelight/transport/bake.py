@@ -8,7 +8,6 @@ that were traced: d times the visibility samples of a texel.
 """
 
 import math
-from typing import Protocol
 
 import equinox as eqx
 import jax
@@ -18,15 +17,10 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.basis import cubemap, truncation
 from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.operators.contract import Basis
 
 # Receivers of a block, whose rows should stay in cache, and how many of them one step of a loop takes.
 _BLOCK, _TOGETHER = 8, 4
-
-
-class Basis(Protocol):
-    """A basis of functions on the cube map, orthonormal."""
-
-    def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]: ...  # noqa: D102
 
 
 class Directions(eqx.Module):

@@ -1,10 +1,10 @@
 """What is kept of the rows of a group, how a layer holds it, and the operator that it makes."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Float
 
 from jaxrelight import store
 from jaxrelight.basis.haar import HaarFaces
@@ -22,28 +22,6 @@ from jaxrelight.transport.settings import Settings
 Bounced = Float[np.ndarray, "m k c d"] | None
 
 
-class Compression(Protocol):
-    """One way to keep rows. Layers hold the energy of every row, and how much of it was left out, beside them."""
-
-    def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-        """Shapes and types of a group's arrays, as a layer takes them."""
-        ...
-
-    def compress(
-        self, bits: UInt8[Array, "m bytes"], frames: np.ndarray, reflection: Reflection, bounced: Bounced = None
-    ) -> dict[str, np.ndarray]:
-        """A group's arrays, from what its receivers see and reflect."""
-        ...
-
-    def open(self, layer: store.Layer) -> "Opened":
-        """All groups of a layer.
-
-        Raises:
-            InputError: where the arrays cannot be what was written.
-        """
-        ...
-
-
 class Opened(NamedTuple):
     """A layer's operator, and the energy by row and channel: what was left out, and all."""
 
@@ -52,9 +30,10 @@ class Opened(NamedTuple):
     total: Float[np.ndarray, "r c"]
 
 
-def compression(settings: Settings) -> Compression:
-    """What the settings ask for."""
-    return Clusters(settings) if settings.operator == "clusters" else Rows(settings)
+def compression(settings: Settings) -> "Rows | Clusters":
+    """What the settings ask for: where nothing of direct light is compressed, what clusters keep of bounced light."""
+    clusters = settings.operator == "clusters" or settings.coefficients == "all"
+    return Clusters(settings) if clusters else Rows(settings)
 
 
 def padded_receivers(count: int) -> int:
@@ -70,6 +49,11 @@ class Rows:
         self._basis = HaarFaces(settings.resolution)
         self._directions = bake.directions_for(settings.resolution, settings.samples_per_side)
         self._columns = 6 * settings.resolution**2
+
+    @property
+    def dial(self):
+        """What a layer's key has to tell of it."""
+        return self._count
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """Indices shared by the channels, and values."""
@@ -110,6 +94,11 @@ class Clusters:
         self._directions = bake.directions_for(settings.resolution, settings.samples_per_side)
         self._columns = 6 * settings.resolution**2
         self._spectrum = natural_spectrum(settings.resolution)
+
+    @property
+    def dial(self):
+        """What a layer's key has to tell of it."""
+        return ["clusters", self._tolerance]
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """The arrays of a `Cluster`, as long as it is."""

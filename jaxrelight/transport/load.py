@@ -28,6 +28,8 @@ from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, ver
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
+from jaxrelight.operators.algebra import InBasis, Summed
+from jaxrelight.operators.contract import Basis
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
@@ -89,7 +91,7 @@ class Transport:
     seen: GBuffer | None
     blocks: tuple[Block, ...]
     operator: Stacked
-    basis: bake.Basis
+    basis: Basis
     kept: float
     camera: Camera
     environment: store.Layer | None
@@ -172,7 +174,11 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
             reflection = fixed_view(brdf, receivers, groups)
         dropped = None
         if settings.coefficients == "all":
-            operators.append(_streamed(settings, visibility, receivers, groups, reflection))
+            operator = _streamed(settings, visibility, receivers, groups, reflection)
+            if "bounced" in record:
+                bounced = compression(settings).open(_whole_layer(folder / record["bounced"])).operator
+                operator = Summed((operator, InBasis(bounced, HaarFaces(settings.resolution))))
+            operators.append(operator)
         else:
             layer = _whole_layer(folder / record["transport"])
             if layer.groups != len(groups):
@@ -238,6 +244,7 @@ def exact(transport: Transport) -> Transport:
     The reference that the kept coefficients are measured against; factors stay what they are.
     """
     settings = transport.settings
+    _refuse_bounces(settings, "exact")
     operators = [
         _streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
         for block in transport.blocks
@@ -250,6 +257,11 @@ def exact(transport: Transport) -> Transport:
         basis=cubemap.Texels(settings.resolution),
         kept=1.0,
     )
+
+
+def _refuse_bounces(settings: Settings, name: str):
+    if settings.bounces:
+        raise InputError(f"{name}: bounced light is not in the visibility that rows are baked from; precompute again")
 
 
 def _streamed(
@@ -271,6 +283,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
     derivative is that of the truncated operator, not of the choice.
     """
     settings = transport.settings
+    _refuse_bounces(settings, "rebake")
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     operators, blocks = [], []
     for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):

@@ -1,46 +1,18 @@
-"""From a scene to a store, by stages that are reused where they can be: geometry → visibility → factors, transport."""
+"""From a scene to a store: layers of direct light, then as many passes of bounced light as are asked for."""
 
 import collections
-import concurrent.futures
-import contextlib
 import dataclasses
-import functools
-import importlib.metadata
-import os
 import pathlib
-import random
-import time
-from collections.abc import Callable
-
-import jax
-import jax.numpy as jnp
-import numpy as np
 
 from jaxrelight import store
-from jaxrelight.basis import cubemap
-from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.factored import Factored
-from jaxrelight.brdf.factors import COSINE, check_terms, factor
+from jaxrelight.brdf.albedo import largest_albedo
 from jaxrelight.brdf.material import as_material
-from jaxrelight.brdf.record import to_record
-from jaxrelight.brdf.reflection import of_group
-from jaxrelight.brdf.separable import Separable
-from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.spatial_factors import Left, SpatialFactors, factor_spatial, without_diffuse
-from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.receivers import GROUP, Receivers
-from jaxrelight.geometry.surfaces import Surfaces
-from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.lights.environment import Environment
 from jaxrelight.scene import Scene
-from jaxrelight.transport.compression import Compression, compression
-from jaxrelight.transport.load import Placed, fixed_view, frames_of, read_factors, read_spatial_factors, receivers_of
+from jaxrelight.transport.bounce import Gather, remaining
+from jaxrelight.transport.layers import Made, Report, check_terms_of, make_layers
+from jaxrelight.transport.load import Placed, load
 from jaxrelight.transport.settings import Settings
-from jaxrelight.transport.visibility import trace_visibility
-
-# Told the stage, how many receivers are done and how many there are.
-Report = Callable[[str, int, int], None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +22,7 @@ class Summary:
     Attributes:
         folder: the store.
         seconds: by stage; stages that were found done take next to nothing.
-        rays: traced in this run.
+        rays: traced in this run, but for those that bounced light is gathered along.
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
         header: what the store's header says of this scene; another process may write another one meanwhile.
@@ -79,271 +51,77 @@ def precompute(
     Layers that exist are reused: a changed material bakes its own groups again, from stored visibility; only a changed
     mesh, or camera where receivers are pixels, is traced again. A run that was stopped goes on where it was.
 
+    With bounces, rows of every pass are those of direct light and what is gathered from the rows of the pass before
+    (Wang 2006 §3.2), which are of vertices, whatever the receivers of the last pass are.
+
     Args:
         scene: what to precompute; its environment is stored as the default light.
         settings: the dials.
         folder: the store; by default one in the user's cache folder, named by the geometry.
         report: called when a stage that has something to do starts, and after every group.
+
+    Raises:
+        InputError: for a scene that transport cannot be precomputed of; with bounces, where a material reflects all
+            light or more.
     """
+    scene.check_distant()
+    scene.check_materials()
+    for part in scene.parts:
+        check_terms_of(scene, part.material, settings)
+    albedo = _largest_albedo(scene) if settings.bounces else 0.0
     seconds: dict[str, float] = {}
-    with _timed(seconds, "geometry"):
-        scene.check_distant()
-        scene.check_materials()
-        for part in scene.parts:
-            _check_terms(scene, part.material, settings)
-        surfaces = scene.surfaces()
-        names = sorted({part.material for part in scene.parts})
-        material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
-        shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
-        geometry_key = store.key_of(shapes, surfaces.two_sided)
-        folder = pathlib.Path(folder or store.default_folder(geometry_key))
-        # No ray depends on texture coordinates.
-        whole_key = store.key_of(geometry_key, surfaces.uv, surfaces.uv_tangents)
-        tracer = Tracer(surfaces)
-        bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
-        receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
-        if not receivers.count:
-            raise InputError(
-                f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices"
-            )
-        _make_folder(folder)
-        geometry = _write_geometry(folder / f"geometry-{whole_key}", surfaces)
-
-    camera_key = dataclasses.astuple(scene.camera) if settings.receivers == "pixels" else None
-    footprint = seen.footprint if seen else None
-    bumps_key = [whole_key, footprint, *(np.asarray(b.pixels) if b else None for b in bumps)] if any(bumps) else None
-    dials = settings.resolution, settings.visibility_samples, GROUP
-    visibility_key = store.key_of(geometry_key, material_of_mesh, _plain(camera_key), *dials, bumps_key)
-    directions = cubemap.directions(settings.resolution * settings.samples_per_side)
-    with _timed(seconds, "visibility"):
-        visibility = store.make_layer(
-            folder / f"visibility-{visibility_key}",
-            {"bits": ((GROUP, len(directions) // 8), np.dtype(np.uint8))},
-            len(receivers.filled),
-        )
-        rays = _trace_groups(visibility, receivers, tracer, directions, report)
-
-    materials, notes = [], []
-    with _timed(seconds, "transport"):
-        frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
-        for number, name in enumerate(names):
-            groups = receivers.groups_of(number)
-            if not len(groups):
-                continue
-            terms = scene.terms.get(name, settings.terms)
-            material = as_material(scene.materials[name])
-            if settings.receivers == "vertices":
-                material = without_diffuse(material)
-            bump = _write_texture(folder, material.normal_map) if material.normal_map else None
-            for component in material.components:
-                brdf = component.brdf
-                described = to_record(brdf, functools.partial(_write_table, folder))
-                reflection, factors, left = _factors(folder, brdf, described, terms, settings)
-                if left and reflection:
-                    notes.append(
-                        f"{name}: the shapes that stand for the lobes of all texels are {left.shapes:.1%} off, and "
-                        f"{reflection.terms} terms leave {left.terms:.0%} of them; --terms is the dial"
-                    )
-                reflection = reflection or fixed_view(brdf, receivers, groups)
-                weight = [_write_texture(folder, texture) for texture in component.weight]
-                record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
-                record["normal_map"] = bump
-                if settings.coefficients != "all":
-                    # The name of the factors tells their number and their resolution.
-                    own = isinstance(brdf, SpatialLobes) and settings.receivers == "pixels"
-                    uv_key = store.key_of(surfaces.uv, footprint) if own else None
-                    dial = settings.coefficients if settings.operator == "rows" else ["clusters", settings.tolerance]
-                    same = visibility_key, number, described, factors, dial, frames_key
-                    key = store.key_of(*same, *([uv_key] if uv_key else []))
-                    kept = compression(settings)
-                    layout = kept.layout(reflection.terms, reflection.channels)
-                    layer = store.make_layer(folder / f"transport-{key}", layout, len(groups))
-                    if layer.missing:
-                        frames, filled = frames_of(receivers, groups), receivers.filled[groups]
-                        _bake_groups(layer, visibility, groups, filled, frames, reflection, kept, name, report)
-                    record["transport"] = layer.folder.name
-                materials.append(record)
-
-    header = {
-        "jaxrelight": importlib.metadata.version("jaxrelight"),
-        "scene": scene.name,
-        "settings": dataclasses.asdict(settings),
-        "geometry": geometry.folder.name,
-        "visibility": visibility.folder.name,
-        "material_of_mesh": material_of_mesh.tolist(),
-        "materials": materials,
-        "camera": _plain(dataclasses.asdict(scene.camera)),
-        "environment": _write_environment(folder, scene.environment),
-    }
-    store.write_header(folder, header)
+    passes, left = [], 1.0
+    gather, transport = None, None
+    while len(passes) < settings.bounces and left > settings.tolerance:
+        passes.append(make_layers(scene, _of_pass(settings, len(passes)), folder, report, seconds, gather))
+        before, transport = transport, load(passes[-1].folder, passes[-1].header, passes[-1].placed)
+        left = remaining(transport, before, albedo)
+        key = store.key_of(passes[-1].header["geometry"], passes[-1].header["materials"])
+        gather = Gather(transport, key, settings.gather_resolution, settings.gather == "nearest")
+    bounces = len(passes)
+    made = make_layers(scene, dataclasses.replace(settings, bounces=bounces), folder, report, seconds, gather)
+    header = {**made.header, "passes": [_layers(one) for one in passes]}
+    store.write_header(made.folder, header)
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
-        nbytes[name.split("-")[0]] += store.bytes_on_disk(folder / name)
-    if any(bumps) and settings.receivers == "vertices":
+        nbytes[name.split("-")[0]] += store.bytes_on_disk(made.folder / name)
+    notes = list(made.notes)
+    if bounces < settings.bounces:
         notes.append(
-            "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
+            f"{bounces} of {settings.bounces} bounces were made: the others would add {left:.1%} of light at most"
         )
-    placed = Placed(surfaces, tuple(bumps), tracer, receivers, seen)
-    return Summary(folder, seconds, rays, receivers.count, dict(nbytes), header, placed, tuple(notes))
+    rays = made.rays + sum(one.rays for one in passes)
+    count = made.placed.receivers.count
+    return Summary(made.folder, seconds, rays, count, dict(nbytes), header, made.placed, tuple(notes))
 
 
-class _timed:  # noqa: N801 - reads as a verb
-    """Adds the seconds of a block to a table."""
-
-    def __init__(self, seconds: dict[str, float], stage: str):
-        self._seconds, self._stage = seconds, stage
-
-    def __enter__(self):
-        self._start = time.perf_counter()
-
-    def __exit__(self, *_):
-        self._seconds[self._stage] = time.perf_counter() - self._start
+def _of_pass(settings: Settings, bounces: int) -> Settings:
+    """Those of the light that the next pass is gathered from."""
+    compressed = settings
+    if settings.coefficients == "all":
+        compressed = dataclasses.replace(settings, operator="clusters", coefficients=1)
+    return dataclasses.replace(compressed, receivers="vertices", bounces=bounces)
 
 
-def _plain(value):
-    """Numbers as JSON knows them."""
-    return jax.tree.map(lambda x: x.item() if isinstance(x, np.generic) else x, value)
+def _layers(made: Made) -> list[str]:
+    """The layers that a pass has of its own."""
+    own = [name for name in store.layers_of(made.header) if name.partition("-")[0] in ("factors", "transport")]
+    return sorted({made.header["visibility"], *own})
 
 
-def _check_terms(scene: Scene, name: str, settings: Settings):
-    """Refuses a number of factors that cannot be had, before any ray."""
-    brdfs = [part.brdf for part in as_material(scene.materials[name]).components]
-    factored = any(not brdf.is_constant and not isinstance(brdf, Separable) for brdf in brdfs)
-    if factored and settings.receivers == "vertices":
-        try:
-            check_terms(scene.terms.get(name, settings.terms), settings.factor_resolution)
-        except InputError as error:
-            raise InputError(f"{scene.name}: material '{name}': {error}") from None
+def _largest_albedo(scene: Scene) -> float:
+    """Of the scene's materials, each the mean over its textures.
 
-
-def _make_folder(folder: pathlib.Path):
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be used as a store: {error.strerror}") from None
-
-
-def _write_once(folder: pathlib.Path, arrays: dict[str, np.ndarray]) -> store.Layer:
-    """A layer of a single group, if it is not there yet."""
-    layer = store.make_layer(folder, {name: (a.shape, a.dtype) for name, a in arrays.items()}, 1)
-    if layer.missing:
-        layer.write(0, **arrays)
-    return layer
-
-
-def _write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
-    return _write_once(
-        folder,
-        {
-            "vertices": surfaces.vertices,
-            "normals": surfaces.normals,
-            "faces": surfaces.faces,
-            "uv": surfaces.uv,
-            "mesh_of_vertex": surfaces.mesh_of_vertex,
-            "two_sided": surfaces.two_sided,
-            "uv_tangents": surfaces.uv_tangents,
-            "placement": np.array([*surfaces.centre, surfaces.radius]),
-        },
-    )
-
-
-def _write_environment(folder: pathlib.Path, environment: Environment | None) -> dict | None:
-    """The scene's own light: its layer, and how it is placed."""
-    if environment is None:
-        return None
-    layer = _write_once(folder / f"environment-{store.key_of(environment.pixels)}", {"pixels": environment.pixels})
-    return {"pixels": layer.folder.name, "rotate_y": environment.rotate_y, "scale": environment.scale}
-
-
-def _write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
-    """The name of a texture's layer; the values of a constant one."""
-    if texture.is_constant:
-        return np.asarray(texture.pixels[0, 0]).tolist()
-    pixels = np.asarray(texture.pixels)
-    return _write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
-
-
-def _write_table(folder: pathlib.Path, values: np.ndarray) -> str:
-    """The name of the layer of a BRDF's long array."""
-    return _write_once(folder / f"table-{store.key_of(values)}", {"values": values}).folder.name
-
-
-def _factors(
-    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, settings: Settings
-) -> tuple[Factored | SpatialFactors | None, str | None, Left | None]:
-    """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
-
-    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the settings say.
+    Raises:
+        InputError: if one reflects all light, or more, so that bounces would not end.
     """
-    if settings.receivers == "pixels" and not brdf.is_constant:
-        return None, None, None
-    dials = () if isinstance(brdf, Separable) else (terms, settings.factor_resolution, *COSINE)
-    key = store.key_of(described, *dials)
-    path = folder / f"factors-{key}"
-    spatial = isinstance(brdf, SpatialLobes)
-    with contextlib.suppress(InputError):
-        layer = store.open_layer(path)
-        if spatial:
-            return read_spatial_factors(layer), path.name, Left(*layer.read("left", 0).tolist())
-        return read_factors(layer), path.name, None
-    # Missing or damaged.
-    if spatial:
-        made, left = factor_spatial(brdf, terms, settings.factor_resolution)
-        arrays = {"light_maps": made.light_maps, "view_maps": made.view_maps, "weights": made.weights.pixels}
-        numbers = {"left": np.array(dataclasses.astuple(left))}
-        _write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
-        return made, path.name, left
-    factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, settings.factor_resolution)
-    _write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
-    return factors, path.name, None
-
-
-def _complete(layer: store.Layer, filled: np.ndarray, make: Callable[[int], None], report: Callable[[int, int], None]):
-    """Runs make(group), which writes it, for all missing groups of a layer, on all cores; stops at the first error.
-
-    `filled` counts the receivers of each group.
-    """
-
-    def tell():
-        report(int(filled[list(layer.done)].sum()), int(filled.sum()))
-
-    missing = layer.missing
-    if missing:
-        tell()
-    # Another process may be at the same layer: in another order, so that they share the work.
-    random.Random(os.getpid()).shuffle(missing)
-
-    def make_if_missing(group: int):
-        if not layer.has(group):
-            make(group)
-
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        futures = [pool.submit(make_if_missing, group) for group in missing]
-        try:
-            for future in concurrent.futures.as_completed(futures):
-                future.result()
-                tell()
-        finally:
-            for future in futures:
-                future.cancel()
-
-
-def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, directions, report: Report) -> int:
-    rays = []
-
-    def trace(group: int):
-        arrays = receivers.positions[group], receivers.normals[group], receivers.face_normals[group]
-        bits, count = trace_visibility(tracer, *arrays, directions)
-        layer.write(group, bits=bits)
-        rays.append(count)
-
-    _complete(layer, receivers.filled, trace, functools.partial(report, "visibility"))
-    return sum(rays)
-
-
-def _bake_groups(layer, visibility, groups, filled, frames, reflection, kept: Compression, name: str, report: Report):
-    def make(i: int):
-        bits = jnp.asarray(visibility.read("bits", int(groups[i])))
-        layer.write(i, **kept.compress(bits, frames[i], of_group(reflection, i)))
-
-    _complete(layer, filled, make, functools.partial(report, f"transport of {name}"))
+    found = 0.0
+    for name in sorted({part.material for part in scene.parts}):
+        albedo = largest_albedo(as_material(scene.materials[name]))
+        if albedo >= 1:
+            raise InputError(
+                f"{scene.name}: material '{name}' reflects {albedo:.3f} of the light that it gets; bounced light needs "
+                "less than 1 of every material: make it darker, or leave --bounces out"
+            )
+        found = max(found, albedo)
+    return found

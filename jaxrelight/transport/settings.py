@@ -21,6 +21,11 @@ class Settings:
         operator: "rows" keep `coefficients` each; "clusters" of near receivers share as few rows as `tolerance` allows.
         tolerance: largest error that may be left in the radiance of a group under natural light, relative to its
             root-mean-square.
+        bounces: how often light is reflected on its way, at most, after it has reached the first surface. No more are
+            made than leave out `tolerance` of all light.
+        gather_resolution: side of the six faces of the cube map that receivers look around with for bounced light.
+        gather: of what they see, take the rows of a face's three corners by their "barycentric" weights, or those of
+            the "nearest" one.
     """
 
     receivers: Literal["vertices", "pixels"] = "vertices"
@@ -31,13 +36,16 @@ class Settings:
     factor_resolution: int = 48
     operator: Literal["rows", "clusters"] = "rows"
     tolerance: float = 0.02
+    bounces: int = 0
+    gather_resolution: int = 32
+    gather: Literal["barycentric", "nearest"] = "barycentric"
 
     def __post_init__(self):
         def require(good: bool, message: str):
             if not good:
                 raise InputError(message)
 
-        for name in ("resolution", "visibility_samples", "terms", "factor_resolution"):
+        for name in ("resolution", "visibility_samples", "terms", "factor_resolution", "bounces", "gather_resolution"):
             value = getattr(self, name)
             whole = isinstance(value, int) and not isinstance(value, bool)
             require(whole, f"{name.replace('_', ' ')} is {value!r}; it must be a whole number")
@@ -56,6 +64,10 @@ class Settings:
             real and 0 <= self.tolerance < 1,
             f"tolerance is {self.tolerance!r}; it must be at least 0, which leaves nothing out, and below 1",
         )
+        require(self.bounces >= 0, f"bounces are {self.bounces}; they must be 0 or more")
+        side = self.gather_resolution
+        require(4 <= side <= 256 and side % 2 == 0, f"gather resolution is {side}; it must be even, from 4 to 256")
+        require(self.gather in ("barycentric", "nearest"), f"gather is 'barycentric' or 'nearest', not '{self.gather}'")
         if self.coefficients != "all":
             limit = 6 * n * n
             require(

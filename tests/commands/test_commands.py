@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxrelight import Settings, cli, read_image, store, write_image
-from jaxrelight.transport import precompute as stages
+from jaxrelight.transport import layers as stages
 from tests.brdf.files import writers
 from tests.commands.running import DIALS, SCENE, refusal_of, summary_of
 

@@ -27,7 +27,7 @@ from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.demo_scene import demo_scene
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.lights.environment import encode
-from jaxrelight.transport import precompute as stages
+from jaxrelight.transport import layers as stages
 from jaxrelight.transport.load import stored_environment
 
 # One set of shapes for most of the file: compiling is what takes time here.

@@ -1,0 +1,32 @@
+"""How much of the light that it gets a material reflects."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.material import Material
+from jaxrelight.brdf.sampling import directional_albedo
+from jaxrelight.brdf.spatial import SpatialLobes
+
+# Of ω_o from the normal.
+_DEGREES = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
+
+
+def largest_albedo(material: Material) -> float:
+    """Directional albedo, the largest over channels and directions to the eye; textures count by their means."""
+    angles = np.radians(_DEGREES)
+    omega_o = jnp.asarray(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1), jnp.float32)
+    total = np.zeros((1, 1))
+    for component in material.components:
+        brdf = component.brdf
+        if isinstance(brdf, SpatialLobes):
+            brdf = brdf.packed("averaged").at(jnp.full(2, 0.5), 1.0)
+        weight = np.prod([np.mean(texture.pixels, axis=(0, 1)) for texture in component.weight], axis=0)
+        total = total + np.asarray(_albedos(brdf, omega_o)) * weight
+    return float(total.max())
+
+
+@jax.jit
+def _albedos(brdf: Brdf, omega_o):
+    return jax.lax.map(lambda omega: directional_albedo(brdf, omega, 128, 256), omega_o)

@@ -1,0 +1,66 @@
+"""Operators made of others."""
+
+from jaxtyping import Array, Float, Int
+
+from jaxrelight.operators.contract import Basis, Operator
+
+
+class Summed(Operator):
+    """The sum of operators of one shape, but for channels: those of one channel count in all."""
+
+    operators: tuple[Operator, ...]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(r, d, c): c of the one that has most."""
+        r, d, _ = self.operators[0].shape
+        return r, d, max(operator.shape[2] for operator in self.operators)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all of them."""
+        return sum(operator.nbytes for operator in self.operators)
+
+    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """Radiance of every row."""
+        first, *others = (operator.apply(light) for operator in self.operators)
+        return sum(others, first)
+
+    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """The adjoint."""
+        first, *others = (operator.transpose(radiance) for operator in self.operators)
+        return sum(others, first)
+
+    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """The chosen rows."""
+        first, *others = (operator.rows(indices) for operator in self.operators)
+        return sum(others, first)
+
+
+class InBasis(Operator):
+    """An operator on coefficients of an orthonormal basis, as one on the numbers that the basis encodes."""
+
+    operator: Operator
+    basis: Basis
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """That of the operator."""
+        return self.operator.shape
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the operator."""
+        return self.operator.nbytes
+
+    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """Radiance of every row."""
+        return self.operator.apply(self.basis.encode(light.T).T)
+
+    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """The adjoint: decoding is the transpose of encoding."""
+        return self.basis.decode(self.operator.transpose(radiance).T).T
+
+    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """The chosen rows."""
+        return self.basis.decode(self.operator.rows(indices))

@@ -1,0 +1,306 @@
+"""Bounced light: rows gathered from the compressed rows of all that each receiver sees (Wang 2006 §3.2, §4.2).
+
+With light terms T at the vertices, those of the light that is reflected once more are (eq. 8)
+
+    T'_k(x) = Σ_ω light_side_k(ω) cosθ dω Σ_λ outgoing_λ(x̃, −ω) T_λ(x̃)
+
+over the texels ω of a coarse cube map that something is hit in, x̃ being what is hit. This is a product of matrices: one
+of how much each receiver sees of each vertex, and the clusters that hold T.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrelight import store
+from jaxrelight.basis import cubemap
+from jaxrelight.brdf.outgoing import outgoing
+from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.geometry.frame import to_local
+from jaxrelight.geometry.gbuffer import GBuffer, trace_points
+from jaxrelight.geometry.receivers import GROUP, Receivers
+from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.operators.clustered import Clustered, as_clusters
+from jaxrelight.transport import bake
+from jaxrelight.transport.load import Block, Transport
+
+# Numbers in a matrix of how much is seen, of several groups of vertices at once.
+_MOST = 2**24
+
+
+class _Source(NamedTuple):
+    """A block's clusters, in buckets, and where each group of the material is among them."""
+
+    block: Block
+    clusters: Clustered
+    bucket_of: Int[np.ndarray, " g"]
+    index_of: Int[np.ndarray, " g"]
+    lengths: tuple[Int[np.ndarray, " b"], ...]
+
+
+class Hits(NamedTuple):
+    """What the receivers of a group see: a row for each ray that hits something.
+
+    Attributes:
+        receiver: in the group.
+        texel: of the coarse cube map.
+        points: of the rays' whole set, see `GBuffer`.
+    """
+
+    receiver: Int[np.ndarray, " h"]
+    texel: Int[np.ndarray, " h"]
+    points: GBuffer
+
+
+class Gather:
+    """Gathers rows of light that is reflected once more than that of a transport.
+
+    Attributes:
+        key: of what is gathered from, and how.
+        channels: of what is gathered: those of the transport's rows, and of what closes them.
+        resolution: side of the faces of the cube map that receivers look around with.
+    """
+
+    def __init__(self, transport: Transport, key: str, resolution: int, nearest: bool = False):
+        """From a transport of vertices, whose operator is `SparseRows` or `Clustered`.
+
+        Args:
+            transport: light that leaves the vertices.
+            key: of all that it follows from.
+            resolution: side of the faces of the cube map that receivers look around with (the paper's is 32).
+            nearest: take the rows of the nearest vertex at each hit, as the paper does, not those of the face's three.
+        """
+        assert transport.settings.receivers == "vertices"
+        self.resolution = resolution
+        self.key = store.key_of(key, resolution, nearest)
+        self._transport = transport
+        self._nearest = nearest
+        self._sources = [
+            _source(block, operator)
+            for block, operator in zip(transport.blocks, transport.operator.operators, strict=True)
+        ]
+        sides = [np.shape(_outgoing_shape(block))[-1] for block in transport.blocks]
+        self.channels = max(*sides, *(source.clusters.channels for source in self._sources))
+        self._directions = bake.directions_for(resolution)
+
+    def rows(
+        self, receivers: Receivers, group: int, frames: Float[np.ndarray, "m 3 3"], reflection: Reflection
+    ) -> Float[np.ndarray, "m k c d"]:
+        """The rows of one group of receivers, over the coefficients of the transport's light."""
+        hits = self.hits(receivers, group)
+        m, k, c = len(frames), reflection.terms, max(self.channels, reflection.channels)
+        seen = np.zeros((m, len(self._directions.vectors)), bool)
+        seen[hits.receiver, hits.texel] = True
+        bits = jnp.asarray(np.packbits(seen, axis=1, bitorder="little"))
+        texels = cubemap.Texels(self.resolution)
+        light_side = _texels_first(bake.bake_rows(bits, frames, reflection, self._directions, texels))
+        out = _Sum(self._transport.operator.shape[1], m * k * c)
+        for source, share in self._shares(hits, light_side, c):
+            out.add(source, share)
+        return out.rows(m, k, c)
+
+    def hits(self, receivers: Receivers, group: int) -> Hits:
+        """Rays through the centres of the texels above each receiver's horizon."""
+        arrays = receivers.positions[group], receivers.face_normals[group], receivers.normals[group]
+        positions, face_normals, normals = arrays
+        directions = cubemap.directions(self.resolution)
+        receiver, texel = np.nonzero(normals @ directions.T > 0)
+        transport = self._transport
+        origins = (positions + OFFSET * face_normals)[receiver]
+        solid_angles = cubemap.solid_angles(self.resolution)[texel]
+        points = trace_points(transport.surfaces, transport.tracer, origins, directions[texel], solid_angles)
+        return Hits(receiver[points.covered], texel[points.covered], points)
+
+    def _shares(self, hits: Hits, light_side: Float[Array, "f m k c"], channels: int):
+        """How much each row sees of each vertex, for as many groups of vertices at once as memory allows."""
+        points, transport = hits.points, self._transport
+        corners = np.where(points.back[:, None], transport.surfaces.back[points.corners], points.corners)
+        weights = points.barycentric
+        if self._nearest:
+            chosen = np.argmax(weights, axis=1)[:, None]
+            corners, weights = np.take_along_axis(corners, chosen, axis=1), np.ones((len(corners), 1))
+        slots = transport.receivers.slot_of[corners]
+        material = transport.receivers.material_of_group[slots[:, 0] // GROUP] if len(slots) else np.zeros(0, int)
+        for source in self._sources:
+            mine = np.flatnonzero(material == transport.receivers.material_of_group[source.block.groups[0]])
+            if not len(mine):
+                continue
+            length = _power_of_two(len(mine))
+            local = _local(*(_padded(rows[mine], length) for rows in (points.normals, points.tangents, points.omega_o)))
+            uv, footprint = _padded(points.uv[mine], length), _padded(points.footprint[mine], length)
+            closing = _outgoing(source.block.reflection, source.block.weight, local, uv, footprint)
+            hit = np.repeat(np.arange(len(mine)), slots.shape[1])
+            slot = slots[mine].reshape(-1) - source.block.groups[0] * GROUP
+            share = weights[mine].reshape(-1)
+            group = slot // GROUP
+            order = np.lexsort((group, source.bucket_of[group]))
+            ends = np.flatnonzero(np.diff(group[order], append=-1)) + 1
+            starts = np.concatenate([[0], ends[:-1]])
+            seen = group[order][starts]
+            row_size = light_side.shape[2] * closing.shape[1] * channels * GROUP * light_side.shape[1]
+            most = 2 ** int(np.log2(max(1, _MOST // row_size)))
+            for number, part in enumerate(source.clusters.buckets):
+                among = np.flatnonzero(source.bucket_of[seen] == number)
+                for first in range(0, len(among), most):
+                    some = among[first : first + most]
+                    entries = order[starts[some[0]] : ends[some[-1]]]
+                    place = np.repeat(np.arange(len(some)), ends[some] - starts[some])
+                    size, wide = _power_of_two(len(entries)), _power_of_two(len(some), 1)
+                    row = np.full(size, wide * GROUP, np.int32)
+                    row[: len(entries)] = place * GROUP + slot[entries] % GROUP
+                    mine_hit = hit[entries]
+                    arrays = (
+                        _padded(hits.receiver[mine][mine_hit], size),
+                        _padded(hits.texel[mine][mine_hit], size),
+                        _padded(mine_hit, size),
+                        _padded(share[entries], size),
+                    )
+                    matrix = _seen(light_side, closing, *arrays, row, wide, channels)
+                    index = np.zeros(wide, np.int32)
+                    index[: len(some)] = source.index_of[seen[some]]
+                    mixed = np.asarray(_mixed(matrix, part.basis, part.weights, index))
+                    lengths = source.lengths[number][index[: len(some)]]
+                    supports = np.asarray(part.support)[index[: len(some)]]
+                    yield from (
+                        (support[:n], rows[:n])
+                        for support, rows, n in zip(supports, mixed[: len(some)], lengths, strict=True)
+                    )
+
+
+class _Sum:
+    """Sums rows that each lie on a few of d coefficients."""
+
+    def __init__(self, columns: int, width: int):
+        """Of rows that are written across: a line of `width` numbers for each coefficient."""
+        self._place = np.full(columns, -1)
+        self._columns: list[np.ndarray] = []
+        self._count = 0
+        self._rows = np.zeros((1024, width), np.float32)
+
+    def add(self, support: Int[np.ndarray, " s"], rows: Float[np.ndarray, "s w"]):
+        """Lines of some coefficients, none twice."""
+        support = support.astype(np.int64)
+        new = support[self._place[support] < 0]
+        self._place[new] = self._count + np.arange(len(new))
+        self._columns.append(new)
+        self._count += len(new)
+        if self._count > len(self._rows):
+            more = max(self._count, 2 * len(self._rows)) - len(self._rows)
+            self._rows = np.pad(self._rows, ((0, more), (0, 0)))
+        self._rows[self._place[support]] += rows
+
+    def rows(self, m: int, k: int, c: int) -> Float[np.ndarray, "m k c d"]:
+        """The sum, as rows over all coefficients."""
+        out = np.zeros((m * k * c, len(self._place)), np.float32)
+        if self._count:
+            out[:, np.concatenate(self._columns)] = self._rows[: self._count].T
+        return out.reshape(m, k, c, -1)
+
+
+def _source(block: Block, operator) -> _Source:
+    group_rows = GROUP * block.reflection.terms
+    clusters = operator if isinstance(operator, Clustered) else as_clusters(operator, group_rows)
+    bucket_of = np.full(len(block.groups), -1)
+    index_of = np.zeros(len(block.groups), np.int32)
+    lengths = []
+    for number, part in enumerate(clusters.buckets):
+        support, groups = np.asarray(part.support), np.asarray(part.groups)
+        filled = 1 + np.count_nonzero(groups[1:])
+        bucket_of[groups[:filled]], index_of[groups[:filled]] = number, np.arange(filled)
+        lengths.append(np.maximum(np.count_nonzero(support, axis=1) + (support[:, 0] == 0), 1))
+    return _Source(block, clusters, bucket_of, index_of, tuple(lengths))
+
+
+def _outgoing_shape(block: Block):
+    """The shape [1, k, c] of what closes a block's terms, nothing computed."""
+    one = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros(1)
+    return jax.eval_shape(outgoing, block.reflection, block.weight, *one).shape
+
+
+def _power_of_two(count: int, least: int = 1024) -> int:
+    return max(least, 1 << (count - 1).bit_length())
+
+
+def _padded(rows: np.ndarray, length: int) -> np.ndarray:
+    wider = np.pad(rows, ((0, length - len(rows)), *[(0, 0)] * (rows.ndim - 1)))
+    return wider.astype(np.int32 if wider.dtype.kind == "i" else np.float32)
+
+
+_local = jax.jit(to_local)
+_outgoing = jax.jit(outgoing)
+
+
+@jax.jit
+def _texels_first(rows: Float[Array, "m k c f"]) -> Float[Array, "f m k c"]:
+    return jnp.moveaxis(rows, -1, 0)
+
+
+@functools.partial(jax.jit, static_argnames=("groups", "channels"))
+def _seen(
+    light_side: Float[Array, "f m k c"],
+    closing: Float[Array, "h l c"],
+    receiver: Int[Array, " e"],
+    texel: Int[Array, " e"],
+    hit: Int[Array, " e"],
+    share: Float[Array, " e"],
+    row: Int[Array, " e"],
+    groups: int,
+    channels: int,
+) -> Float[Array, "p v m k l c"]:
+    """How much every row of a group sees of every vertex of some groups: a sum over what hits are made of."""
+    _, m, k, _ = light_side.shape
+    value = light_side[texel, receiver][:, :, None] * (closing[hit] * share[:, None, None])[:, None]
+    value = jnp.broadcast_to(value, (*value.shape[:3], channels))
+    out = jnp.zeros((groups * GROUP * m, k, closing.shape[1], channels), value.dtype)
+    # Rows past the end are filling.
+    out = out.at[row * m + receiver].add(value, mode="drop")
+    return out.reshape(groups, GROUP, m, k, closing.shape[1], channels)
+
+
+@jax.jit
+def _mixed(
+    seen: Float[Array, "p v m k l c"], basis: Float[Array, "b q s"], weights: Float[Array, "b c q r"], index
+) -> Float[Array, "p s w"]:
+    """The rows of what is seen, each group's over its own coefficients."""
+    p, v, m, k, terms, c = seen.shape
+    own = weights[index].reshape(p, weights.shape[1], -1, v, terms)
+    own = jnp.broadcast_to(own, (p, c, *own.shape[2:]))
+    mixtures = jnp.einsum("pcqvl,pvmklc->pqmkc", own, seen, precision="highest")
+    return jnp.einsum("pqs,pqmkc->psmkc", basis[index], mixtures, precision="highest").reshape(p, -1, m * k * c)
+
+
+def remaining(transport: Transport, before: Transport | None, albedo: float) -> float:
+    """How much light the bounces that are still missing may add, relative to all there is, under an even white sky.
+
+    Each bounce reflects at most `albedo` of the one before, so that after the last step it is step · ρ/(1 − ρ).
+
+    Args:
+        transport: with the last bounce.
+        before: with one less; None where `transport` is of direct light.
+        albedo: ρ < 1, the largest of the scene.
+    """
+    now = _white(transport)
+    step = now if before is None else now - _white(before)
+    size = float(np.linalg.norm(now))
+    return float(np.linalg.norm(step)) / size * albedo / (1 - albedo) if size > 0 else 0.0
+
+
+def _white(transport: Transport) -> Float[np.ndarray, " n"]:
+    """Radiance along the normals of all vertices under an even white sky."""
+    white = transport.basis.encode(jnp.ones(transport.operator.shape[1]))
+    along = jnp.asarray([[0.0, 0.0, 1.0]])
+    parts = []
+    for block, operator in zip(transport.blocks, transport.operator.operators, strict=True):
+        closing = _outgoing(block.reflection, block.weight, along, jnp.zeros((1, 2)), jnp.ones(1))
+        channels = max(operator.shape[2], closing.shape[-1])
+        light = jnp.broadcast_to(white[:, None], (len(white), channels))
+        terms = _applied(operator, light).reshape(-1, block.reflection.terms, channels)
+        parts.append(np.asarray(jnp.sum(terms * closing, axis=1)).ravel())
+    return np.concatenate(parts)
+
+
+_applied = jax.jit(lambda operator, light: operator.apply(light))
