@@ -85,9 +85,14 @@ def trace_points(
     back = surfaces.two_sided[mesh] & (np.sum(face_normal * flat[covered], axis=1) > 0)
     side = np.where(back, -1.0, 1.0)[:, None]
     positions = interpolated(surfaces.vertices)
-    distance = np.linalg.norm(positions - origin[covered], axis=1)
-    cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))
-    seen = solid_angles.reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
+    footprint, uv, tangents = np.zeros(len(face)), np.zeros((len(face), 2)), np.zeros((len(face), 3))
+    if surfaces.has_uv:
+        distance = np.linalg.norm(positions - origin[covered], axis=1)
+        cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))
+        seen = solid_angles.reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
+        footprint, uv = seen * surfaces.uv_densities(face), interpolated(surfaces.uv)
+    if surfaces.uv_tangents.any():
+        tangents = interpolated(surfaces.tangents)
     return GBuffer(
         covered=covered.reshape(directions.shape[:-1]),
         directions=directions,
@@ -97,9 +102,9 @@ def trace_points(
         positions=positions,
         normals=side * normal,
         face_normals=side * face_normal,
-        tangents=interpolated(surfaces.tangents),
-        uv=interpolated(surfaces.uv),
-        footprint=seen * surfaces.uv_densities(face),
+        tangents=tangents,
+        uv=uv,
+        footprint=footprint,
         mesh=mesh,
         omega_o=-flat[covered],
     )

@@ -68,6 +68,11 @@ class Surfaces:
         return np.column_stack([axes[:, :3], np.sign(axes[:, 3])])
 
     @functools.cached_property
+    def has_uv(self) -> bool:
+        """Whether any mesh has texture coordinates."""
+        return bool(self.uv.any())
+
+    @functools.cached_property
     def tangents(self) -> Float[np.ndarray, "v 3"]:
         """What tangent frames follow at each vertex; zeros where the normal alone tells (Wang 2006 §3.3.2)."""
         asked = self.uv_tangents[self.mesh_of_vertex]

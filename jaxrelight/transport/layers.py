@@ -14,6 +14,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
+import threadpoolctl
 
 from jaxrelight import store
 from jaxrelight.basis import cubemap
@@ -303,7 +304,9 @@ def _complete(layer: store.Layer, filled: np.ndarray, make: Callable[[int], None
         if not layer.has(group):
             make(group)
 
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
+    # Groups are what runs at once: threads of their linear algebra would only wait for each other.
+    threads = os.cpu_count()
+    with threadpoolctl.threadpool_limits(1), concurrent.futures.ThreadPoolExecutor(threads) as pool:
         futures = [pool.submit(make_if_missing, group) for group in missing]
         try:
             for future in concurrent.futures.as_completed(futures):

@@ -179,6 +179,11 @@ def test_render_then_again(folder, run):
         "terms": 2,
         "coefficients": 16,
         "factor_resolution": 8,
+        "operator": "rows",
+        "tolerance": 0.02,
+        "bounces": 0,
+        "gather_resolution": 32,
+        "gather": "barycentric",
     }
     assert set(first["versions"]) == {"jaxrelight", "jax", "embreex"}
     assert (first["width"], first["height"], first["picture"], first["store"]) == (12, 10, "a.exr", "made")
