@@ -1,6 +1,7 @@
 """The clustered operator: rows of near receivers as mixtures of a few (Sloan et al. 2003; Liu et al. 2004)."""
 
 import collections
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,8 +13,17 @@ import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Operator
-from jaxrelight.operators.quantised import decoded
+from jaxrelight.operators.quantised import Quantised, decoded, quantised
 from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type
+
+# Numbers that buckets may be filled up with to have one bucket less: reading them takes as long as what it costs.
+_FILLING = 2**16
+
+# Codes that are decoded at a time.
+_DECODED = 2**14
+
+# The most channels that are products with vectors.
+_FEW = 16
 
 
 class Cluster(NamedTuple):
@@ -34,16 +44,16 @@ class Bucket(eqx.Module):
     """Clusters of about the same size, filled up with zeros to the same.
 
     Attributes:
-        groups: whose rows they are; 0 for filling.
+        groups: whose rows they are, ascending.
         support: as in `Cluster`.
-        basis: as in `Cluster`.
-        weights: as in `Cluster`.
+        basis: as in `Cluster`; quantised, it is [b, s, q], so that each coefficient has a scale.
+        weights: as in `Cluster`; quantised, each shared row has a scale in each channel.
     """
 
     groups: Int[Array, " b"]
     support: Int[Array, "b s"]
-    basis: Float[Array, "b q s"]
-    weights: Float[Array, "b c q r"]
+    basis: Float[Array, "b q s"] | Quantised
+    weights: Float[Array, "b c q r"] | Quantised
 
 
 class Clustered(Operator):
@@ -55,6 +65,9 @@ class Clustered(Operator):
     Attributes:
         buckets: all clusters.
         place: of each group among the clusters of all buckets; past their end where the group holds nothing.
+        holders: the places of coefficients among the supports of all buckets, one after the other, a row for each
+            column; the columns of about as many holders in one array, filled up with the supports' end.
+        column_place: of each column among the rows of all `holders`; past their end where no group holds it.
         group_rows: r.
         channels: c; 1 where rows are the same in all of them (grey).
         columns: d, the number of light coefficients.
@@ -62,6 +75,8 @@ class Clustered(Operator):
 
     buckets: tuple[Bucket, ...]
     place: Int[Array, " g"]
+    holders: tuple[Int[Array, "_ _"], ...]
+    column_place: Int[Array, " d"]
     group_rows: int = eqx.field(static=True)
     channels: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
@@ -75,49 +90,50 @@ class Clustered(Operator):
         """The same, followed by groups of nothing up to a number: of one shape for many numbers of groups."""
         end = sum(len(part.groups) for part in self.buckets)
         place = jnp.pad(self.place, (0, groups - len(self.place)), constant_values=end)
-        return Clustered(self.buckets, place, self.group_rows, self.channels, self.columns)
+        return eqx.tree_at(lambda one: one.place, self, place)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of supports, shared rows and weights, with their filling."""
+        """Bytes of all arrays, with their filling."""
         return sum(array.nbytes for array in jax.tree.leaves(self))
 
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row: per group one gather of light and two small products."""
+        """Radiance of every row: per group one gather of light and two small products.
+
+        Grey rows take any number of channels: many lights side by side cost less than one after the other.
+        """
         channels = light.shape[1]
         if self.channels not in (1, channels):
             raise ValueError(f"light has {channels} channels, the operator {self.channels}")
-        # Channels apart: a product with vectors reads its matrix at the speed of memory, one with few columns does not.
-        by_channel = [light[:, c] for c in range(channels)]
-        parts = []
-        for part in self.buckets:
-            support = part.support.astype(jnp.int32)
-            found = [x.at[support].get(mode="promise_in_bounds") for x in by_channel]
-            shared = [jnp.einsum("bqs,bs->bq", part.basis, x, precision="highest") for x in found]
-            if self.channels == 1:
-                b, _, q, r = part.weights.shape
-                weights = part.weights.reshape(b, q, r)
-                mixed = [jnp.einsum("bqr,bq->br", weights, x, precision="highest") for x in shared]
-                parts.append(jnp.stack(mixed, axis=-1))
-            else:
-                mixed = jnp.einsum("bcqr,bcq->bcr", part.weights, jnp.stack(shared, axis=1), precision="highest")
-                parts.append(jnp.moveaxis(mixed, 1, 2))
+        by_group = _at_once if self.channels == 1 and channels > _FEW else _by_channel
         nothing = jnp.zeros((1, self.group_rows, channels), light.dtype)
-        return jnp.concatenate([*parts, nothing]).at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
+        mixed = jnp.concatenate([*(by_group(part, light) for part in self.buckets), nothing])
+        return mixed.at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
 
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint: the two products the other way round, and one scatter for each group."""
+        """The adjoint: the two products the other way round; every column is a sum over its holders.
+
+        That sum is in parallel, and as accurate as any; a scatter from the supports is neither.
+        """
         channels = radiance.shape[1]
-        by_group = radiance.reshape(-1, self.group_rows, channels)
-        out = jnp.zeros((self.columns, channels), radiance.dtype)
+        by_group = jnp.moveaxis(radiance.reshape(-1, self.group_rows, channels), 2, 1)
+        found = []
         for part in self.buckets:
-            b, _, q, r = part.weights.shape
             mine = by_group.at[part.groups].get(mode="promise_in_bounds")
-            weights = jnp.broadcast_to(part.weights, (b, channels, q, r))
-            shared = jnp.einsum("bcqr,brc->bcq", weights, mine, precision="highest")
-            found = jnp.einsum("bqs,bcq->bsc", part.basis, shared, precision="highest")
-            out = out.at[part.support.astype(jnp.int32)].add(found, mode="promise_in_bounds")
-        return out
+            shared = _products(part.weights, mine)
+            back = _products if isinstance(part.basis, Quantised) else _mixtures
+            found.append(jnp.moveaxis(back(_of_one_channel(part.basis), shared), 1, 0).reshape(channels, -1))
+        held = jnp.concatenate([*found, jnp.zeros((channels, 1), radiance.dtype)], axis=1)
+        return jnp.stack([self._sums(held[c]) for c in range(channels)], axis=-1)
+
+    def _sums(self, held: Float[Array, " e"]) -> Float[Array, " d"]:
+        """Of every column what its holders hold; as products with ones, see `SparseRows`."""
+        sums = []
+        for places in self.holders:
+            gathered = held.at[places].get(mode="promise_in_bounds")
+            sums.append(jnp.matmul(gathered, jnp.ones(places.shape[1], held.dtype), precision="highest"))
+        sums.append(jnp.zeros(1, held.dtype))
+        return jnp.concatenate(sums).at[self.column_place].get(mode="promise_in_bounds")
 
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows, zero off their group's coefficients. Looks into every bucket for every row."""
@@ -127,40 +143,178 @@ class Clustered(Operator):
         for part in self.buckets:
             b = len(part.groups)
             mine, i = (place >= start) & (place < start + b), jnp.clip(place - start, 0, b - 1)
-            values = jnp.einsum("icq,iqs->ics", part.weights[i, :, :, row], part.basis[i], precision="highest")
+            values = jnp.einsum("icq,iqs->ics", _weights_of(part, i, row), _basis_of(part, i), precision="highest")
             written = jax.vmap(lambda support, v: jnp.zeros((v.shape[0], self.columns), v.dtype).at[:, support].add(v))
             out = jnp.where(mine[:, None, None], written(part.support[i].astype(jnp.int32), values), out)
             start += b
         return out
 
 
+def _by_channel(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c"]:
+    """The rows' radiance, channels apart: products with vectors read matrices at the speed of memory."""
+    support = part.support.astype(jnp.int32)
+    found = [light[:, c].at[support].get(mode="promise_in_bounds") for c in range(light.shape[1])]
+    forth = _mixtures if isinstance(part.basis, Quantised) else _products
+    shared = forth(_of_one_channel(part.basis), jnp.stack(found, axis=1))
+    return jnp.moveaxis(_mixtures(part.weights, shared), 1, 2)
+
+
+def _at_once(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c"]:
+    """The same for grey rows and many channels: products of matrices, group by group, so that all stays in cache."""
+
+    def group(part: Bucket):
+        basis = part.basis.decoded().T if isinstance(part.basis, Quantised) else part.basis
+        found = light.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
+        shared = jnp.matmul(basis, found, precision="highest")
+        return jnp.matmul(decoded(part.weights)[0].T, shared, precision="highest")
+
+    return jax.lax.map(group, part)
+
+
+def _of_one_channel(basis: Float[Array, "b i n"] | Quantised) -> Float[Array, "b 1 i n"] | Quantised:
+    return jax.tree.map(lambda x: x[:, None], basis)
+
+
+def _products(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c n"]) -> Float[Array, "b c i"]:
+    """Products of rows, the same for all channels where k = 1, with a vector for each channel."""
+    if isinstance(rows, Quantised):
+        # Decoded codes of a few groups stay in cache; all of them would be written to memory first.
+        few = max(1, _DECODED // math.prod(rows.shape[1:]))
+        products = jax.lax.map(lambda group: _product(*group), (rows.codes, x), batch_size=few)
+        return products * rows.scale[..., 0]
+    if rows.shape[1] > 1:
+        return jnp.einsum("bcin,bcn->bci", rows, x, precision="highest")
+    one = rows.reshape(rows.shape[0], *rows.shape[2:])
+    each = [jnp.einsum("bin,bn->bi", one, x[:, c], precision="highest") for c in range(x.shape[1])]
+    return jnp.stack(each, axis=1)
+
+
+def _product(codes: Int[Array, "k i n"], x: Float[Array, "c n"]) -> Float[Array, "c i"]:
+    each = [jnp.matmul(codes[c % len(codes)].astype(x.dtype), x[c], precision="highest") for c in range(len(x))]
+    return jnp.stack(each)
+
+
+def _mixtures(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c i"]) -> Float[Array, "b c n"]:
+    """Sums of rows, the same for all channels where k = 1, each times a number for each channel."""
+    if isinstance(rows, Quantised):
+        # A sum takes codes as they are read; a product of matrices would have them decoded in memory.
+        return jnp.sum(rows.codes * (rows.scale[..., 0] * x)[..., None], axis=2)
+    if rows.shape[1] > 1:
+        return jnp.einsum("bcin,bci->bcn", rows, x, precision="highest")
+    one = rows.reshape(rows.shape[0], *rows.shape[2:])
+    each = [jnp.einsum("bin,bi->bn", one, x[:, c], precision="highest") for c in range(x.shape[1])]
+    return jnp.stack(each, axis=1)
+
+
+def _basis_of(part: Bucket, i: Int[Array, " i"]) -> Float[Array, "i q s"]:
+    chosen = jax.tree.map(lambda x: x[i], part.basis)
+    return jnp.swapaxes(chosen.decoded(), 1, 2) if isinstance(chosen, Quantised) else chosen
+
+
+def _weights_of(part: Bucket, i: Int[Array, " i"], row: Int[Array, " i"]) -> Float[Array, "i c q"]:
+    weights = part.weights
+    if isinstance(weights, Quantised):
+        return jnp.multiply(weights.codes[i, :, :, row], weights.scale[i, :, :, 0])
+    return weights[i, :, :, row]
+
+
 def clustered(clusters: Sequence[Cluster], columns: int) -> Clustered:
     """The operator of groups that each are a cluster, over `columns` light coefficients.
 
-    Sizes are rounded up to few, so that few shapes are compiled and little is filled up; groups of no shared row are
-    left out. Put together by NumPy.
+    Clusters of about the same size are filled up to the same; groups of no shared row are left out. Put together by
+    NumPy.
     """
     c, _, r = clusters[0].weights.shape
     members = collections.defaultdict(list)
     for group, (_, basis, _) in enumerate(clusters):
         if len(basis):
-            members[_rounded(basis.shape[1], 64), _rounded(len(basis), 8)].append(group)
+            members[_multiple(basis.shape[1], 32), _multiple(len(basis), 8)].append(group)
     place, buckets, start = np.full(len(clusters), -1, np.int32), [], 0
-    for (s, q), groups in sorted(members.items()):
-        b = _rounded(len(groups), 8)
+    held: list[np.ndarray] = []
+    for (s, q), groups in sorted(_joined(members, c * r).items()):
+        b = len(groups)
         support = np.zeros((b, s), smallest_index_type(columns))
         basis, weights = np.zeros((b, q, s), np.float32), np.zeros((b, c, q, r), np.float32)
-        for i, group in enumerate(groups):
+        # Filling is of no column.
+        column = np.full((b, s), columns)
+        for i, group in enumerate(sorted(groups)):
             found = clusters[group]
             n, m = len(found.support), len(found.basis)
             support[i, :n], basis[i, :m, :n], weights[i, :, :m] = found
-        whose = np.zeros(b, np.int32)
-        whose[: len(groups)] = groups
-        place[groups] = start + np.arange(len(groups))
-        buckets.append(Bucket(*jax.device_put((whose, support, basis, weights))))
+            column[i, :n] = found.support
+            place[group] = start + i
+        held.append(column.reshape(-1))
+        buckets.append(Bucket(*jax.device_put((np.array(sorted(groups), np.int32), support, basis, weights))))
         start += b
     place[place < 0] = start
-    return Clustered(tuple(buckets), jax.device_put(place), r, c, columns)
+    holders, column_place = _holders(np.concatenate([np.zeros(0, int), *held]), columns)
+    place, holders, column_place = jax.device_put((place, holders, column_place))
+    return Clustered(tuple(buckets), place, holders, column_place, r, c, columns)
+
+
+def quantised_clusters(operator: Clustered, bits: int) -> Clustered:
+    """The same in codes of 8 or 16 bits.
+
+    The basis has a scale for each coefficient of a group, over its q shared rows: coefficients of coarse and fine
+    levels differ by orders of magnitude, those of one do not. Weights have a scale for each shared row. All scales are
+    factors on vectors, none on a matrix.
+    """
+
+    def coded(part: Bucket) -> Bucket:
+        basis, weights = np.asarray(part.basis), np.asarray(part.weights)
+        codes = quantised(np.ascontiguousarray(np.swapaxes(basis, 1, 2)), bits), quantised(weights, bits)
+        return Bucket(part.groups, part.support, *jax.device_put(codes))
+
+    return eqx.tree_at(lambda one: one.buckets, operator, tuple(coded(part) for part in operator.buckets))
+
+
+def _multiple(count: int, of: int) -> int:
+    """The next multiple."""
+    return -(-count // of) * of
+
+
+def _joined(members: dict[tuple[int, int], list[int]], width: int) -> dict[tuple[int, int], list[int]]:
+    """Groups by the size (s, q) they are filled up to: sizes are joined, two at a time, while that fills up little.
+
+    Args:
+        members: the same, each to its own size.
+        width: of the weights of a shared row, c·r.
+    """
+    members = collections.defaultdict(list, members)
+    while len(members) > 1:
+        sizes = list(members)
+        s, q = np.array(sizes).T
+        count = np.array([len(groups) for groups in members.values()])
+        both = np.add.outer(count, count) * np.maximum.outer(q, q) * (np.maximum.outer(s, s) + width)
+        filling = both - np.add.outer(count * q * (s + width), count * q * (s + width))
+        filling[np.diag_indices(len(s))] = np.iinfo(filling.dtype).max
+        one, two = np.unravel_index(np.argmin(filling), filling.shape)
+        if filling[one, two] > _FILLING:
+            break
+        groups = members.pop(sizes[one]) + members.pop(sizes[two])
+        members[max(s[one], s[two]), max(q[one], q[two])] += groups
+    return members
+
+
+def _holders(
+    held: Int[np.ndarray, " e"], columns: int
+) -> tuple[tuple[Int[np.ndarray, "_ _"], ...], Int[np.ndarray, " d"]]:
+    """`Clustered.holders` and `column_place`, from the column of every place; `columns` where it is filling."""
+    order = np.argsort(held, kind="stable").astype(np.int32)
+    count = np.bincount(held, minlength=columns)[:columns]
+    first = np.cumsum(count) - count
+    # Arrays are as wide as the next power of two of their columns' counts.
+    width = np.where(count > 0, 1 << np.ceil(np.log2(np.maximum(count, 1))).astype(int), 0)
+    holders, column_place, start = [], np.full(columns, -1, np.int32), 0
+    for n in np.unique(width[width > 0]):
+        mine = np.flatnonzero(width == n)
+        nth = np.arange(count[mine].max())
+        places = order[np.minimum(first[mine, None] + nth, len(held) - 1)]
+        holders.append(np.where(nth < count[mine, None], places, np.int32(len(held))))
+        column_place[mine] = start + np.arange(len(mine))
+        start += len(mine)
+    column_place[column_place < 0] = start
+    return tuple(holders), column_place
 
 
 def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) -> Clustered:
@@ -179,14 +333,6 @@ def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) 
         (support, basis, weights), _ = cluster(rows, np.ones(len(columns), np.float32), tolerance)
         found.append(Cluster(columns[support], basis, weights))
     return clustered(found, operator.columns)
-
-
-def _rounded(count: int, least: int) -> int:
-    """The next of least · 1, 1.5, 2, 3, 4, 6 and so on."""
-    size = least
-    while size < count:
-        size = size * 3 // 2 if size.bit_count() == 1 else size // 3 * 4
-    return size
 
 
 def cluster(

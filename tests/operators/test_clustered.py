@@ -1,0 +1,146 @@
+"""Clusters: what they leave out, how they are put together, and what 8 bits do to them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters, cluster, clustered, quantised_clusters
+from jaxrelight.operators.sparse_rows import sparse_rows
+
+D = 96  # texels of a 6×4² cube map
+
+
+def random(*shape: int, seed: int = 0) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(seed).normal(size=shape), np.float32)
+
+
+def relative(found, expected) -> float:
+    return float(np.linalg.norm(np.asarray(found, float) - expected) / np.linalg.norm(expected))
+
+
+def of_sizes(sizes: list[tuple[int, int]], c: int = 1, r: int = 4, d: int = 1536) -> list[Cluster]:
+    """Clusters of s coefficients and q shared rows each."""
+    rng = np.random.default_rng(0)
+    return [
+        Cluster(
+            np.sort(rng.permutation(d)[:s]),
+            rng.normal(size=(q, s)).astype(np.float32),
+            rng.normal(size=(c, q, r)).astype(np.float32),
+        )
+        for s, q in sizes
+    ]
+
+
+def test_a_cluster_leaves_out_what_may_be_left_out():
+    """Half by the coefficients of least energy, half by the singular values of the others."""
+    rows = np.random.default_rng(0).normal(size=(6, 2, D)) * np.linspace(3, 0.1, D)
+    spectrum = np.linspace(1, 2, D)
+    (support, basis, weights), dropped = cluster(rows, spectrum, 0.3)
+    power = np.sum((rows * spectrum) ** 2, axis=(0, 1))
+    may = 0.3**2 / 2 * power.sum()
+    fewest = np.argsort(power)[-len(support) :]
+    np.testing.assert_array_equal(support, np.sort(fewest))
+    assert power.sum() - power[support].sum() <= may < power.sum() - power[fewest[1:]].sum()
+    inside = rows[:, :, support].reshape(12, -1)
+    tail = np.linalg.svd(inside * spectrum[support], compute_uv=False) ** 2
+    assert tail[len(basis) :].sum() <= may < tail[len(basis) - 1 :].sum()
+    mixed = np.einsum("cqr,qs->rcs", weights, basis)
+    left = np.sum(((inside - mixed.reshape(12, -1)) * spectrum[support]) ** 2)
+    np.testing.assert_allclose(left, tail[len(basis) :].sum(), rtol=1e-5)
+    whole = np.array(rows)
+    whole[:, :, support] -= mixed
+    np.testing.assert_allclose(dropped, np.sum(whole**2, axis=-1), rtol=1e-5)
+
+
+def test_clusters_are_as_small_as_what_they_hold():
+    matrix = np.zeros((4, 6, 1, D))
+    rng = np.random.default_rng(1)
+    matrix[1] = rng.normal(size=(6, 1, 1)) * rng.normal(size=D)
+    found = [cluster(group, np.ones(D), 1e-3)[0] for group in matrix]
+    assert [basis.shape[0] for _, basis, _ in found] == [0, 1, 0, 0]
+    operator = clustered(found, D)
+    assert [part.basis.shape for part in operator.buckets] == [(1, 8, 96)]
+    assert relative(operator.to_matrix(), matrix.reshape(-1, 1, D)) < 1e-3
+    black = clustered(found[2:], D)
+    np.testing.assert_array_equal(black.apply(random(D, 3)), np.zeros((12, 3)))
+    np.testing.assert_array_equal(black.transpose(random(12, 3)), np.zeros((D, 3)))
+    assert black.nbytes < 4 * D + 100
+
+
+@pytest.mark.parametrize("scale", [1e-18, 1.0, 1e18])
+def test_clusters_do_not_depend_on_the_unit_of_light(scale):
+    rows = np.random.default_rng(0).normal(size=(6, 2, D)).astype(np.float32)
+    (one, _, _), _ = cluster(rows, np.ones(D), 0.1)
+    (support, basis, weights), dropped = cluster(rows * np.float32(scale), np.ones(D), 0.1)
+    np.testing.assert_array_equal(support, one)
+    assert np.isfinite(dropped).all()
+    mixed = np.einsum("cqr,qs->rcs", weights, basis)
+    assert relative(mixed / scale, rows[:, :, support]) < 0.1
+
+
+def test_buckets_are_joined_where_little_is_filled_up():
+    near, far = [(96, 8), (96, 16), (90, 7), (60, 12)], [(1400, 200)] * 3
+    operator = clustered(of_sizes([*near, *far, *near]), 1536)
+    assert [part.basis.shape for part in operator.buckets] == [(8, 16, 96), (3, 200, 1408)]
+    assert [part.groups.tolist() for part in operator.buckets] == [[0, 1, 2, 3, 7, 8, 9, 10], [4, 5, 6]]
+
+
+def test_every_column_has_all_its_holders_once():
+    clusters = of_sizes([(0, 0), (40, 3), (300, 9), (1500, 5), (1, 1), (300, 40)])
+    operator = clustered(clusters, 1536)
+    held = np.concatenate([np.asarray(part.support).ravel() for part in operator.buckets])
+    count = np.zeros(1536, int)
+    for places in operator.holders:
+        real = np.asarray(places) < len(held)
+        assert (2 * real.sum(axis=1) > places.shape[1]).all()
+    for column, row in enumerate(np.asarray(operator.column_place)):
+        for places in operator.holders:
+            if 0 <= row < len(places):
+                found = places[row][places[row] < len(held)]
+                assert (held[found] == column).all()
+                assert len(np.unique(found)) == len(found)
+                count[column] = len(found)
+            row -= len(places)
+    np.testing.assert_array_equal(count, sum(np.bincount(one.support, minlength=1536) for one in clusters))
+
+
+@pytest.mark.parametrize("bits", [None, 8])
+def test_many_lights_are_columns_of_one(bits):
+    operator = clustered(of_sizes([(96, 8), (0, 0), (200, 30)]), 1536)
+    operator = quantised_clusters(operator, bits) if bits else operator
+    lights = random(1536, 20)
+    each = np.concatenate([operator.apply(lights[:, i : i + 1]) for i in range(20)], axis=1)
+    assert relative(operator.apply(lights), each) < 1e-6
+
+
+def test_eight_bits_are_near_and_small():
+    """A scale for each coefficient: levels that differ by orders of magnitude are all kept."""
+    clusters = of_sizes([(96, 8), (250, 16)], c=3, r=64)
+    level = np.geomspace(1e3, 1e-3, 1536).astype(np.float32)
+    clusters = [Cluster(support, basis * level[support], weights) for support, basis, weights in clusters]
+    whole = clustered(clusters, 1536)
+    for bits, bound in ((8, 0.02), (16, 1e-4)):
+        coded = quantised_clusters(whole, bits)
+        assert coded.nbytes < (bits / 32 + 0.15) * whole.nbytes
+        light = random(1536, 3) / level[:, None]
+        assert relative(coded.apply(light), np.asarray(whole.apply(light))) < bound
+    with pytest.raises(ValueError, match="8 or 16"):
+        quantised_clusters(whole, 4)
+
+
+def test_rows_become_clusters():
+    rng = np.random.default_rng(0)
+    indices = np.sort(rng.random((8, D)).argsort(axis=1)[:, :6], axis=1)
+    rows = sparse_rows(indices, rng.normal(size=(8, 3, 6)).astype(np.float32), D)
+    found = as_clusters(rows, 4, 1e-6)
+    assert isinstance(found, Clustered)
+    assert relative(found.to_matrix(), np.asarray(rows.to_matrix())) < 1e-5
+
+
+def test_filling_is_black():
+    operator = clustered(of_sizes([(96, 8), (40, 2)]), 1536)
+    light = random(1536, 3)
+    filled = operator.with_filling(5).apply(light)
+    np.testing.assert_array_equal(filled[:8], operator.apply(light))
+    np.testing.assert_array_equal(filled[8:], np.zeros((12, 3)))
