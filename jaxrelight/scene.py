@@ -5,6 +5,8 @@ import difflib
 import pathlib
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
@@ -308,16 +310,17 @@ def _mixture(table: Table, folder: pathlib.Path, others: Mapping[str, Brdf | Mat
             close = difflib.get_close_matches(name, others, n=1)
             hint = f"did you mean '{close[0]}'?" if close else "it must be a material that is no mixture itself"
             raise InputError(f"{part.where}: there is no [material.{name}] to mix; {hint}")
-        if as_material(others[name]).normal_map is not None:
-            raise InputError(f"{part.where}: '{name}' has a normal_map; give it to the mixture instead")
+        for key in ("normal_map", "emission"):
+            if getattr(as_material(others[name]), key) is not None:
+                raise InputError(f"{part.where}: '{name}' has {key}; give it to the mixture instead")
         components += weighted(others[name], _colour(part, "weight", folder, data=True))
         part.finish()
     if not components:
         raise InputError(f"{table.where}: a mixture needs 'parts', a list of tables with 'material' and 'weight'")
     table.has("terms")  # read elsewhere
-    bumps = _normal_map(table, folder)
+    bumps, emission = _normal_map(table, folder), _emission(table)
     table.finish()
-    return Material(tuple(components), bumps)
+    return Material(tuple(components), bumps, emission)
 
 
 def _colour(table: Table, key: str, folder: pathlib.Path, *, data: bool = False) -> Texture:
@@ -370,9 +373,18 @@ def _material(table: Table, folder: pathlib.Path) -> tuple[Brdf | Material, list
             raise InputError(f"type '{kind}' is not known; known are {_TYPES}")
     except InputError as error:
         raise table.within(error) from None
-    bumps = _normal_map(table, folder)
+    bumps, emission = _normal_map(table, folder), _emission(table)
     table.finish()
-    return (brdf if bumps is None else Material(as_material(brdf).components, bumps)), read
+    plain = bumps is None and emission is None
+    return (brdf if plain else Material(as_material(brdf).components, bumps, emission)), read
+
+
+def _emission(table: Table) -> np.ndarray | None:
+    """Radiance; None where it is left out, or black."""
+    if not table.has("emission"):
+        return None
+    radiance = np.broadcast_to(np.asarray(table.not_negative("emission"), np.float32), 3)
+    return radiance if radiance.any() else None
 
 
 def _terms(table: Table) -> int:

@@ -37,7 +37,7 @@ import zstandard
 from jaxrelight.array_file import check_arrays, decode_arrays, encode_arrays
 from jaxrelight.errors import InputError
 
-FORMAT = 3
+FORMAT = 4
 
 # Seconds after which a file that was not renamed belongs to nobody any more: writing one takes milliseconds.
 _ABANDONED = 60

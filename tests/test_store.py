@@ -319,13 +319,13 @@ def test_header_round_trip(tmp_path):
     [
         (None, "not a store, or its precomputation was not finished; run precompute"),
         (b"", "damaged; run precompute again"),
-        (b'{"format": 3, "sce', "damaged; run precompute again"),
-        (b'{"format": 3, "scene": "x"}', "damaged; run precompute again"),
+        (b'{"format": 4, "sce', "damaged; run precompute again"),
+        (b'{"format": 4, "scene": "x"}', "damaged; run precompute again"),
         (b"\xff\xfe\x00", "damaged; run precompute again"),
         (b"[1]", "damaged; run precompute again"),
-        (b"{}", "format None is not format 3"),
-        (b'{"format": 2}', "format 2 is not format 3"),
-        (b'{"format": 4}', "format 4 is not format 3"),
+        (b"{}", "format None is not format 4"),
+        (b'{"format": 3}', "format 3 is not format 4"),
+        (b'{"format": 5}', "format 5 is not format 4"),
     ],
 )
 def test_bad_header_is_refused(tmp_path, content, message: str):

@@ -3,6 +3,8 @@
 import dataclasses
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
@@ -28,10 +30,12 @@ class Material:
     Attributes:
         components: the BRDFs and their weights.
         normal_map: tangent-space normals as (n + 1)/2, three channels; None for the mesh's own.
+        emission: radiance that it emits in all directions above the surface; None for none.
     """
 
     components: tuple[Component, ...]
     normal_map: Texture | None = None
+    emission: Float[np.ndarray, "3"] | None = None
 
     @property
     def needs_uv(self) -> bool:

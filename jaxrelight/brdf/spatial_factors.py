@@ -95,7 +95,7 @@ def without_diffuse(material: Material) -> Material:
                 continue
             brdf = dataclasses.replace(brdf, diffuse=jnp.zeros_like(brdf.diffuse), coarser=())
         parts.append(Component(brdf, component.weight))
-    return Material(tuple(parts), material.normal_map)
+    return dataclasses.replace(material, components=tuple(parts))
 
 
 def factor_spatial(

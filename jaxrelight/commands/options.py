@@ -30,6 +30,19 @@ class PrecomputeOptions:
     """Wavelet coefficients kept for each row of transport; 'all' compresses nothing: exact, but slow to relight."""
     factor_resolution: int = 48
     """Side of the maps of a glossy material's factors."""
+    operator: Literal["rows", "clusters"] = "rows"
+    """How transport is compressed: 'rows' keep --coefficients each; 'clusters' of near receivers share a few rows,
+    which are smaller and quicker at the same error."""
+    tolerance: float = 0.02
+    """What clusters may leave out, relative to a group's radiance under natural light; and how much light further
+    bounces may add before they are left out."""
+    bounces: int = 0
+    """How often light is reflected at most on its way from the first surface to the last. Each takes about as long as
+    the direct light; relighting costs no more."""
+    gather_resolution: int = 32
+    """Side of the six faces of the cube map that receivers look around with for bounced light."""
+    gather: Literal["barycentric", "nearest"] = "barycentric"
+    """Where bounced light is read: between the corners of each face that is seen, or at the nearest one."""
 
     def settings(self, receivers: Literal["vertices", "pixels"]) -> "Settings":
         """As the library takes them."""
@@ -42,6 +55,11 @@ class PrecomputeOptions:
             self.terms,
             self.coefficients,
             self.factor_resolution,
+            self.operator,
+            self.tolerance,
+            self.bounces,
+            self.gather_resolution,
+            self.gather,
         )
 
 

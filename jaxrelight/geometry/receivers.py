@@ -8,9 +8,13 @@ from jaxtyping import Float, Int
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import OFFSET
 
 # Receivers of a group: the unit of tracing, baking, storing and resuming.
 GROUP = 128
+
+# How far vertices at the rim of a surface are moved into it, in scene space: see `_off_the_rim`.
+_INSET = 2 * OFFSET
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,9 +69,8 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
 
     face_normals = _vertex_face_normals(surfaces)
     normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
-    return _grouped(
-        both(surfaces.vertices), normals, face_normals, both(surfaces.tangents), None, None, None, both(material)
-    )
+    positions, tangents = both(_off_the_rim(surfaces)), both(surfaces.tangents)
+    return _grouped(positions, normals, face_normals, tangents, None, None, None, both(material))
 
 
 def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
@@ -75,6 +78,31 @@ def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -
     material = np.asarray(material_of_mesh)[gbuffer.mesh]
     directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o, gbuffer.uv, gbuffer.footprint
     return _grouped(gbuffer.positions, *directions, material)
+
+
+def _off_the_rim(surfaces: Surfaces) -> Float[np.ndarray, "v 3"]:
+    """The vertices, those at the rim moved a little into the surface, along it.
+
+    Where surfaces meet, as walls and a floor do, the vertices of one lie in the plane of the other: half of their rays
+    would start behind it, and see light through the wall.
+    """
+    ends = np.sort(surfaces.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).astype(np.int64)
+    edge, count = np.unique(ends[:, 0] * len(surfaces.vertices) + ends[:, 1], return_counts=True)
+    rim = np.unique(np.stack(np.divmod(edge[count == 1], len(surfaces.vertices))))
+    if not len(rim):
+        return surfaces.vertices
+    touching = np.isin(surfaces.faces, rim)
+    faces, corners = np.nonzero(touching)
+    vertex = surfaces.faces[faces, corners]
+    centres = surfaces.vertices[surfaces.faces[faces]].mean(axis=1) - surfaces.vertices[vertex]
+    sums = [np.bincount(vertex, centres[:, axis], len(surfaces.vertices))[rim] for axis in range(3)]
+    inwards, normals = np.stack(sums, axis=1), surfaces.normals[rim]
+    inwards -= normals * np.sum(normals * inwards, axis=1, keepdims=True)
+    length = np.linalg.norm(inwards, axis=1, keepdims=True)
+    positions = surfaces.vertices.copy()
+    # Of a small face, no more than a tenth of the way.
+    positions[rim] += inwards / np.where(length > 0, length, 1) * np.minimum(_INSET, length / 10)
+    return positions
 
 
 def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:

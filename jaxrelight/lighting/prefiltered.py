@@ -173,12 +173,19 @@ def look_at(scene: Scene, minification: Minification = "levels") -> Seen:
             maps have any; "averaged" parameters; or "none".
 
     Raises:
-        InputError: for a part of a material that is not given, or one that needs texture coordinates on a mesh without.
+        InputError: for a part of a material that is not given, one that needs texture coordinates on a mesh without, or
+            one that emits light.
     """
     scene.check_materials()
     surfaces = scene.surfaces()
     names = [part.material for part in scene.parts]
     materials = {name: as_material(scene.materials[name]) for name in sorted(set(names))}
+    for name, material in materials.items():
+        if material.emission is not None:
+            raise InputError(
+                f"{scene.name}: material '{name}' emits light, which prefiltered lighting has not; light it with "
+                "transport, or remove 'emission'"
+            )
     tracer = Tracer(surfaces)
     gbuffer = see(surfaces, tracer, scene.camera, [materials[name].normal_map for name in names])
     seen = np.asarray([[*materials].index(name) for name in names])[gbuffer.mesh]

@@ -58,7 +58,7 @@ class Relighter:
         about the same size compiles nothing new.
         """
         parts = zip(self.transport.operator.operators, self.transport.blocks, strict=True)
-        return tuple(_terms(operator, light, block) for operator, block in parts)
+        return tuple(_with_emitted(_terms(operator, light, block), block) for operator, block in parts)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -94,7 +94,11 @@ class Relighter:
         blocks = self.transport.blocks
         reflections = tuple(_view_sides(block.reflection) for block in blocks)
         weights = tuple(block.weight for block in blocks) if weights is None else weights
-        return shade(reflections, weights, terms, view.materials, view.shape)
+        image = shade(reflections, weights, terms, view.materials, view.shape)
+        for block, pixels in zip(blocks, view.materials, strict=True):
+            if block.emission is not None:
+                image = _add_emission(image, jnp.asarray(block.emission), pixels)
+        return image
 
     def background(self, environment: Environment, view: View) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
@@ -124,6 +128,21 @@ def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Floa
         return _compiled_terms(filled, light, receivers, block.reflection.terms)
     product = operator.apply(light).reshape(-1, block.reflection.terms, light.shape[1])
     return jnp.pad(product, ((0, receivers - len(product)), (0, 0), (0, 0)))
+
+
+def _with_emitted(terms: Float[Array, "v k c"], block: Block) -> Float[Array, "v k c"]:
+    """Light terms of the sky, and of what surfaces emit."""
+    if block.emitted is None:
+        return terms
+    more = len(terms) - len(block.emitted)
+    return terms + np.pad(block.emitted, ((0, more), (0, 0), (0, 0)))
+
+
+@jax.jit
+def _add_emission(image: Float[Array, "h w c"], emission: Float[Array, " c"], pixels: MaterialPixels):
+    h, w, c = image.shape
+    radiance = jnp.where(pixels.omega_o[:, 2:] > 0, emission, 0)
+    return image.reshape(h * w, c).at[pixels.pixel].add(radiance, mode="drop").reshape(h, w, c)
 
 
 @functools.partial(jax.jit, static_argnames=("receivers", "terms"))

@@ -9,6 +9,7 @@ of how much each receiver sees of each vertex, and the clusters that hold T.
 """
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -62,6 +63,7 @@ class Gather:
     Attributes:
         key: of what is gathered from, and how.
         channels: of what is gathered: those of the transport's rows, and of what closes them.
+        emits: whether surfaces emit light.
         resolution: side of the faces of the cube map that receivers look around with.
     """
 
@@ -83,14 +85,19 @@ class Gather:
             _source(block, operator)
             for block, operator in zip(transport.blocks, transport.operator.operators, strict=True)
         ]
-        sides = [np.shape(_outgoing_shape(block))[-1] for block in transport.blocks]
-        self.channels = max(*sides, *(source.clusters.channels for source in self._sources))
+        closing = [_outgoing_shape(block)[-1] for block in transport.blocks]
+        emitted = [len(block.emission) for block in transport.blocks if block.emission is not None]
+        self.channels = max(*closing, *emitted, *(source.clusters.channels for source in self._sources))
+        self.emits = bool(emitted)
         self._directions = bake.directions_for(resolution)
 
     def rows(
         self, receivers: Receivers, group: int, frames: Float[np.ndarray, "m 3 3"], reflection: Reflection
-    ) -> Float[np.ndarray, "m k c d"]:
-        """The rows of one group of receivers, over the coefficients of the transport's light."""
+    ) -> tuple[Float[np.ndarray, "m k c d"], Float[np.ndarray, "m k c"] | None]:
+        """The rows of one group of receivers, over the coefficients of the transport's light, and its light terms.
+
+        These are of light that the surfaces emit; None where none does.
+        """
         hits = self.hits(receivers, group)
         m, k, c = len(frames), reflection.terms, max(self.channels, reflection.channels)
         seen = np.zeros((m, len(self._directions.vectors)), bool)
@@ -99,9 +106,38 @@ class Gather:
         texels = cubemap.Texels(self.resolution)
         light_side = _texels_first(bake.bake_rows(bits, frames, reflection, self._directions, texels))
         out = _Sum(self._transport.operator.shape[1], m * k * c)
-        for source, share in self._shares(hits, light_side, c):
-            out.add(source, share)
-        return out.rows(m, k, c)
+        for support, lines in self._lines(hits, light_side, c):
+            out.add(support, lines)
+        emitted = [block.emitted for block in self._transport.blocks] if self.emits else None
+        own = None if emitted is None else self.light(hits, light_side, emitted, emission=True)
+        return out.rows(m, k, c), own
+
+    def light(
+        self,
+        hits: Hits,
+        light_side: Float[Array, "f m k c"],
+        terms: Sequence[np.ndarray | None],
+        emission: bool = False,
+    ) -> Float[np.ndarray, "m k c"]:
+        """Light terms of what is seen: the gathering of rows, applied to light.
+
+        Args:
+            hits: from `hits`.
+            light_side: of the receivers, over the texels.
+            terms: [receivers, k, c] of the vertices in each block's groups; None for black ones.
+            emission: add what surfaces emit.
+        """
+        seen = np.zeros((*light_side.shape[:2], self.channels), np.float32)
+        for source, mine, slots, weights, closing in self._closings(hits):
+            place = hits.texel[mine], hits.receiver[mine]
+            own = terms[self._sources.index(source)]
+            if own is not None:
+                corners = np.einsum("hv,hvkc->hkc", weights, np.asarray(own)[slots])
+                seen[place] += np.sum(corners * np.asarray(closing)[: len(mine)], axis=1)
+            if emission and source.block.emission is not None:
+                front = np.sum(hits.points.normals[mine] * hits.points.omega_o[mine], axis=1) > 0
+                seen[place] += front[:, None] * source.block.emission
+        return np.asarray(_received(light_side, seen))
 
     def hits(self, receivers: Receivers, group: int) -> Hits:
         """Rays through the centres of the texels above each receiver's horizon."""
@@ -115,8 +151,8 @@ class Gather:
         points = trace_points(transport.surfaces, transport.tracer, origins, directions[texel], solid_angles)
         return Hits(receiver[points.covered], texel[points.covered], points)
 
-    def _shares(self, hits: Hits, light_side: Float[Array, "f m k c"], channels: int):
-        """How much each row sees of each vertex, for as many groups of vertices at once as memory allows."""
+    def _closings(self, hits: Hits):
+        """Of each block that is hit: which hits, their corners among its receivers, their weights and view sides."""
         points, transport = hits.points, self._transport
         corners = np.where(points.back[:, None], transport.surfaces.back[points.corners], points.corners)
         weights = points.barycentric
@@ -124,18 +160,23 @@ class Gather:
             chosen = np.argmax(weights, axis=1)[:, None]
             corners, weights = np.take_along_axis(corners, chosen, axis=1), np.ones((len(corners), 1))
         slots = transport.receivers.slot_of[corners]
-        material = transport.receivers.material_of_group[slots[:, 0] // GROUP] if len(slots) else np.zeros(0, int)
+        material = transport.receivers.material_of_group[slots[:, 0] // GROUP]
         for source in self._sources:
-            mine = np.flatnonzero(material == transport.receivers.material_of_group[source.block.groups[0]])
+            groups = source.block.groups
+            mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
             if not len(mine):
                 continue
             length = _power_of_two(len(mine))
             local = _local(*(_padded(rows[mine], length) for rows in (points.normals, points.tangents, points.omega_o)))
             uv, footprint = _padded(points.uv[mine], length), _padded(points.footprint[mine], length)
             closing = _outgoing(source.block.reflection, source.block.weight, local, uv, footprint)
+            yield source, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
+
+    def _lines(self, hits: Hits, light_side: Float[Array, "f m k c"], channels: int):
+        """What is seen of each group of vertices, a line for each of the coefficients that its cluster has."""
+        for source, mine, slots, weights, closing in self._closings(hits):
             hit = np.repeat(np.arange(len(mine)), slots.shape[1])
-            slot = slots[mine].reshape(-1) - source.block.groups[0] * GROUP
-            share = weights[mine].reshape(-1)
+            slot, share = slots.reshape(-1), weights.reshape(-1)
             group = slot // GROUP
             order = np.lexsort((group, source.bucket_of[group]))
             ends = np.flatnonzero(np.diff(group[order], append=-1)) + 1
@@ -239,6 +280,16 @@ def _texels_first(rows: Float[Array, "m k c f"]) -> Float[Array, "f m k c"]:
     return jnp.moveaxis(rows, -1, 0)
 
 
+@jax.jit
+def _received(light_side: Float[Array, "f m k c"], seen: Float[Array, "f m c"]) -> Float[Array, "m k c"]:
+    """Light terms of radiance that is seen in the texels."""
+    channels = max(light_side.shape[-1], seen.shape[-1])
+    both = jnp.broadcast_to(light_side, (*light_side.shape[:3], channels)), seen
+    return jnp.einsum(
+        "fmkc,fmc->mkc", both[0], jnp.broadcast_to(both[1], (*seen.shape[:2], channels)), precision="highest"
+    )
+
+
 @functools.partial(jax.jit, static_argnames=("groups", "channels"))
 def _seen(
     light_side: Float[Array, "f m k c"],
@@ -274,33 +325,38 @@ def _mixed(
 
 
 def remaining(transport: Transport, before: Transport | None, albedo: float) -> float:
-    """How much light the bounces that are still missing may add, relative to all there is, under an even white sky.
+    """How much light the bounces that are still missing may add, relative to all there is.
 
-    Each bounce reflects at most `albedo` of the one before, so that after the last step it is step · ρ/(1 − ρ).
+    Light is an even white sky, and what surfaces emit; the larger share counts. Each bounce reflects at most `albedo`
+    of the one before, so that after the last step it is step · ρ/(1 − ρ).
 
     Args:
         transport: with the last bounce.
         before: with one less; None where `transport` is of direct light.
         albedo: ρ < 1, the largest of the scene.
     """
-    now = _white(transport)
-    step = now if before is None else now - _white(before)
-    size = float(np.linalg.norm(now))
-    return float(np.linalg.norm(step)) / size * albedo / (1 - albedo) if size > 0 else 0.0
+    steps = []
+    for now, then in zip(_lit(transport), _lit(before) if before else (0.0, 0.0), strict=True):
+        size = float(np.linalg.norm(now))
+        steps.append(float(np.linalg.norm(now - then)) / size if size > 0 else 0.0)
+    return max(steps) * albedo / (1 - albedo)
 
 
-def _white(transport: Transport) -> Float[np.ndarray, " n"]:
-    """Radiance along the normals of all vertices under an even white sky."""
+def _lit(transport: Transport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Radiance along the normals of all vertices: under an even white sky, and by the light that surfaces emit."""
     white = transport.basis.encode(jnp.ones(transport.operator.shape[1]))
     along = jnp.asarray([[0.0, 0.0, 1.0]])
-    parts = []
+    reflected, emitted = [], []
     for block, operator in zip(transport.blocks, transport.operator.operators, strict=True):
-        closing = _outgoing(block.reflection, block.weight, along, jnp.zeros((1, 2)), jnp.ones(1))
+        closing = np.asarray(_outgoing(block.reflection, block.weight, along, jnp.zeros((1, 2)), jnp.ones(1)))
         channels = max(operator.shape[2], closing.shape[-1])
-        light = jnp.broadcast_to(white[:, None], (len(white), channels))
-        terms = _applied(operator, light).reshape(-1, block.reflection.terms, channels)
-        parts.append(np.asarray(jnp.sum(terms * closing, axis=1)).ravel())
-    return np.concatenate(parts)
+        terms = _applied(operator, jnp.broadcast_to(white[:, None], (len(white), channels)))
+        reflected.append(np.sum(np.asarray(terms).reshape(-1, block.reflection.terms, channels) * closing, axis=1))
+        own = np.zeros(3) if block.emission is None else block.emission
+        more = 0.0 if block.emitted is None else np.sum(block.emitted * closing, axis=1)
+        emitted.append(np.broadcast_to(own + more, (len(reflected[-1]), 3)))
+    flat = [np.concatenate([part.ravel() for part in parts]) for parts in (reflected, emitted)]
+    return flat[0], flat[1]
 
 
 _applied = jax.jit(lambda operator, light: operator.apply(light))

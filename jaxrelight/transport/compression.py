@@ -76,7 +76,7 @@ class Rows:
 
     def open(self, layer: store.Layer) -> Opened:
         """Row-sparse; of padded length, so that few shapes are compiled."""
-        arrays = layer.read_all()
+        arrays = layer.read_all(["indices", "values", "dropped", "total"])
         indices, values = arrays["indices"], arrays["values"]
         _check(layer, indices, self._columns)
         g, m, k, c, n = values.shape

@@ -141,6 +141,8 @@ def make_layers(
                 weight = [_write_texture(folder, texture) for texture in component.weight]
                 record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
                 record["normal_map"] = bump
+                if material.emission is not None and component is material.components[0]:
+                    record["emission"] = material.emission.tolist()
                 if gather or settings.coefficients != "all":
                     # The name of the factors tells their number and their resolution.
                     own = isinstance(brdf, SpatialLobes) and settings.receivers == "pixels"
@@ -355,8 +357,12 @@ class _Bakes:
     @property
     def layout(self):
         """Of a layer of them."""
-        channels = max(self.reflection.channels, self.gather.channels if self.gather else 1)
-        return self.kept.layout(self.reflection.terms, channels)
+        terms, channels = self.reflection.terms, self.reflection.channels
+        if self.gather is None:
+            return self.kept.layout(terms, channels)
+        channels = max(channels, self.gather.channels)
+        emitted = {"emitted": ((GROUP, terms, channels), np.dtype(np.float32))} if self.gather.emits else {}
+        return self.kept.layout(terms, channels) | emitted
 
     def complete(self, layer: store.Layer, report: Callable[[int, int], None]):
         """Makes what is missing."""
@@ -366,13 +372,16 @@ class _Bakes:
 
         def make(i: int):
             group, reflection = int(self.groups[i]), of_group(self.reflection, i)
-            bounced = self.gather.rows(self.receivers, group, frames[i], reflection) if self.gather else None
+            bounced, more = None, {}
+            if self.gather:
+                bounced, emitted = self.gather.rows(self.receivers, group, frames[i], reflection)
+                more = {} if emitted is None else {"emitted": emitted}
             if self.direct:
                 bits = jnp.asarray(self.visibility.read("bits", group))
-                layer.write(i, **self.kept.compress(bits, frames[i], reflection, bounced))
+                layer.write(i, **self.kept.compress(bits, frames[i], reflection, bounced), **more)
             else:
                 assert isinstance(self.kept, Clusters)
                 assert bounced is not None
-                layer.write(i, **self.kept.compress_rows(bounced))
+                layer.write(i, **self.kept.compress_rows(bounced), **more)
 
         _complete(layer, self.receivers.filled[self.groups], make, report)

@@ -50,6 +50,8 @@ class Block:
         reflection: of the BRDF; arrays that each receiver has for itself lead with groups and receivers.
         groups: of the material's receivers.
         dropped: energy left out of every row by channel; None where nothing is.
+        emission: radiance that the material emits; of its first block alone, None for the others.
+        emitted: light terms of what other surfaces emit, by way of bounces; None where there is none.
     """
 
     material: str
@@ -58,6 +60,8 @@ class Block:
     reflection: Reflection
     groups: Int[np.ndarray, " g"]
     dropped: Float[np.ndarray, "r c"] | None
+    emission: Float[np.ndarray, "3"] | None = None
+    emitted: Float[np.ndarray, "v k c"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,21 +177,28 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         else:
             reflection = fixed_view(brdf, receivers, groups)
         dropped = None
+        name = "bounced" if settings.coefficients == "all" else "transport"
+        layer = _whole_layer(folder / record[name]) if name in record else None
+        if layer and layer.groups != len(groups):
+            raise InputError(f"{layer.folder}: geometry and transport do not belong together; precompute again")
+        opened = compression(settings).open(layer) if layer else None
         if settings.coefficients == "all":
             operator = _streamed(settings, visibility, receivers, groups, reflection)
-            if "bounced" in record:
-                bounced = compression(settings).open(_whole_layer(folder / record["bounced"])).operator
-                operator = Summed((operator, InBasis(bounced, HaarFaces(settings.resolution))))
+            if opened:
+                operator = Summed((operator, InBasis(opened.operator, HaarFaces(settings.resolution))))
             operators.append(operator)
         else:
-            layer = _whole_layer(folder / record["transport"])
-            if layer.groups != len(groups):
-                raise InputError(f"{layer.folder}: geometry and transport do not belong together; precompute again")
-            operator, dropped, energy = compression(settings).open(layer)
-            operators.append(operator)
-            total += float(energy.sum(dtype=float)) * 3 / energy.shape[1]
+            assert opened is not None
+            operators.append(opened.operator)
+            dropped = opened.dropped
+            total += float(opened.total.sum(dtype=float)) * 3 / dropped.shape[1]
         weight = tuple(read_texture(folder, entry) for entry in record["weight"])
-        blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped))
+        emission = np.asarray(record["emission"], np.float32) if record.get("emission") else None
+        emitted = None
+        if layer and "emitted" in layer.arrays:
+            emitted = layer.read("emitted")
+            emitted = emitted.reshape(-1, *emitted.shape[2:])
+        blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped, emission, emitted))
     dropped = [block.dropped for block in blocks if block.dropped is not None]
     left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
     environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}

@@ -118,7 +118,8 @@ def _largest_albedo(scene: Scene) -> float:
     found = 0.0
     for name in sorted({part.material for part in scene.parts}):
         albedo = largest_albedo(as_material(scene.materials[name]))
-        if albedo >= 1:
+        # Of the quadrature that it is found by.
+        if albedo >= 1 - 1e-4:
             raise InputError(
                 f"{scene.name}: material '{name}' reflects {albedo:.3f} of the light that it gets; bounced light needs "
                 "less than 1 of every material: make it darker, or leave --bounces out"

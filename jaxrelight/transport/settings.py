@@ -68,7 +68,7 @@ class Settings:
         side = self.gather_resolution
         require(4 <= side <= 256 and side % 2 == 0, f"gather resolution is {side}; it must be even, from 4 to 256")
         require(self.gather in ("barycentric", "nearest"), f"gather is 'barycentric' or 'nearest', not '{self.gather}'")
-        if self.coefficients != "all":
+        if self.coefficients != "all" and self.operator == "rows":
             limit = 6 * n * n
             require(
                 type(self.coefficients) is int and 1 <= self.coefficients <= limit,

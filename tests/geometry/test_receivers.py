@@ -1,15 +1,19 @@
 """Groups of receivers, and the way back from them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from jaxrelight.basis import cubemap
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.mesh import Mesh, transformed
 from jaxrelight.geometry.primitives import box, plane, sphere
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import join
-from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.geometry.tracer import OFFSET, Tracer
+from jaxrelight.transport.visibility import trace_visibility
 
 # Materials 2, 0, 2 of meshes with 81, 386 and 256 vertices.
 MESHES = [
@@ -31,7 +35,8 @@ def check_grouping(receivers: Receivers, positions, normals, material):
     assert receivers.positions.shape == receivers.normals.shape == receivers.face_normals.shape == (groups, GROUP, 3)
     assert receivers.count == len(positions) == receivers.filled.sum()
     slot = receivers.slot_of
-    np.testing.assert_array_equal(receivers.positions.reshape(-1, 3)[slot], positions)
+    # Those at a rim are moved off it.
+    np.testing.assert_allclose(receivers.positions.reshape(-1, 3)[slot], positions, atol=1e-4)
     np.testing.assert_array_equal(receivers.normals.reshape(-1, 3)[slot], normals)
     np.testing.assert_array_equal(receivers.material_of_group[slot // GROUP], material)
     assert len(np.unique(slot)) == len(slot)
@@ -61,6 +66,27 @@ def test_groups_are_close_together():
     extent = np.ptp(receivers.positions, axis=1).max(axis=-1)
     assert np.median(extent) < 0.6
     check_grouping(receivers, surfaces.vertices, surfaces.normals, np.zeros(64 * 64))
+
+
+def test_no_ray_from_a_rim_passes_between_walls():
+    """The vertices of a room's walls lie in each other's planes, at edges and in corners."""
+    room = box((1, 1, 1), 3)
+    surfaces = join([dataclasses.replace(room, faces=room.faces[:, ::-1], normals=-room.normals)])
+    receivers = vertex_receivers(surfaces, np.array([0]))
+    directions = cubemap.directions(16)
+    bits, _ = trace_visibility(
+        Tracer(surfaces), receivers.positions[0], receivers.normals[0], receivers.face_normals[0], directions
+    )
+    assert not bits.any()
+
+
+def test_only_rims_are_moved():
+    surfaces = join([plane((2, 2), 4)])
+    moved = vertex_receivers(surfaces, np.array([0]))
+    distance = np.linalg.norm(moved.positions.reshape(-1, 3)[moved.slot_of] - surfaces.vertices, axis=1)
+    rim = np.abs(surfaces.vertices).max(axis=1) == 1
+    assert not distance[~rim].any()
+    np.testing.assert_allclose(distance[rim], 2 * OFFSET)
 
 
 @pytest.mark.parametrize("resolution", [1, 10])

@@ -1,0 +1,201 @@
+"""Bounced light: closed forms, its linearity against light gathered without compression, what is reused and refused."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import InputError, Part, Relighter, Scene, Settings
+from jaxrelight.basis import cubemap
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.reflection import of_group
+from jaxrelight.demo_scene import demo_scene
+from jaxrelight.transport import bake, bounce
+from jaxrelight.transport.load import Transport, frames_of, load
+
+SMALL = Settings(
+    resolution=8, terms=2, factor_resolution=12, operator="clusters", tolerance=0.0, bounces=1, gather_resolution=8
+)
+
+
+def emitting(albedo: float, radiance: float = 1.0) -> Material:
+    colour = jr.lambert([albedo] * 3)
+    return Material((Component(colour),), emission=np.full(3, radiance, np.float32))
+
+
+def room(albedo: float, radiance: float = 1.0) -> Scene:
+    """A box seen from inside, whose walls all emit."""
+    box = jr.box((1, 1, 1), 2)
+    inside = dataclasses.replace(box, faces=box.faces[:, ::-1], normals=-box.normals)
+    camera = jr.Camera((0, 0, 0.4), (0, 0, -1), fov_y=60.0, width=8, height=8)
+    return Scene([Part(inside, "wall")], {"wall": emitting(albedo, radiance)}, camera)
+
+
+def radiance_at_vertices(transport: Transport) -> np.ndarray:
+    """Radiance of the walls, by the light that they emit alone."""
+    (block,) = transport.blocks
+    assert block.emission is not None
+    assert block.emitted is not None
+    view = np.asarray(block.reflection.view_side(jnp.asarray([0.0, 0, 1])))
+    return (block.emission + np.sum(block.emitted * view, axis=1))[transport.receivers.slot_of]
+
+
+def opened(scene: Scene, settings: Settings, folder) -> Transport:
+    made = jr.precompute(scene, settings, folder)
+    return load(made.folder, made.header, made.placed)
+
+
+def relative(found, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(found, wanted)) / np.linalg.norm(wanted))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A glossy object of two terms on a diffuse floor."""
+    return demo_scene(detail=0.1, size=16)
+
+
+@pytest.fixture(scope="module")
+def direct(scene, tmp_path_factory) -> Transport:
+    return opened(scene, dataclasses.replace(SMALL, bounces=0), tmp_path_factory.mktemp("direct"))
+
+
+def test_a_closed_box_is_its_series_at_each_bounce(tmp_path):
+    for bounces in (1, 2, 3):
+        settings = dataclasses.replace(SMALL, resolution=4, bounces=bounces, gather_resolution=16)
+        found = radiance_at_vertices(opened(room(0.5), settings, tmp_path))
+        # Rays through the corners of texels cover every direction, so that no light is lost at edges or corners.
+        np.testing.assert_allclose(found, sum(0.5**i for i in range(bounces + 1)), rtol=1e-3)
+
+
+def test_bounces_end_where_the_rest_is_below_the_tolerance(tmp_path):
+    settings = dataclasses.replace(SMALL, resolution=4, bounces=50, tolerance=0.02)
+    made = jr.precompute(room(0.5, 3.0), settings, tmp_path)
+    transport = load(made.folder, made.header, made.placed)
+    assert transport.settings.bounces < 10
+    assert "of 50 bounces were made" in made.notes[-1]
+    found = radiance_at_vertices(transport)
+    assert 3 / (1 - 0.5) * (1 - 0.02) < found.min() <= found.max() < 3 / (1 - 0.5)
+
+
+def test_emission_is_seen_and_lights_what_does_not_emit(tmp_path):
+    ball = jr.sphere(0.2, 16)
+    lamp = dataclasses.replace(ball, vertices=np.add(ball.vertices, [0, 0.6, 0]))
+    camera = jr.Camera((0, 1, 3), (0, 0.3, 0), fov_y=50.0, width=24, height=24)
+    parts = [Part(jr.plane((4, 4), 8), "floor"), Part(lamp, "lamp")]
+    warm = Material((Component(jr.lambert([0.0] * 3)),), emission=np.array([4, 2, 1], np.float32))
+    scene = Scene(parts, {"floor": jr.lambert([0.5] * 3), "lamp": warm}, camera)
+    dark = jr.environment(np.zeros((4, 8, 3), np.float32))
+    pictures = []
+    for bounces in (0, 1):
+        for receivers in ("pixels", "vertices"):
+            settings = dataclasses.replace(SMALL, bounces=bounces, receivers=receivers, gather_resolution=32)
+            transport = opened(scene, settings, tmp_path)
+            relighter = Relighter(transport)
+            pictures.append(relighter.image(dark, relighter.view())[..., :3])
+    lamp_seen = pictures[0].max(axis=-1) > 0
+    assert 0 < lamp_seen.sum() < 100
+    np.testing.assert_allclose(pictures[0][lamp_seen], np.broadcast_to([4, 2, 1], (lamp_seen.sum(), 3)), rtol=1e-6)
+    np.testing.assert_array_equal(pictures[0], pictures[1])
+    # A sphere of radius r at height h lights what lies under it with E = π L (r/h)².
+    floor = transport.blocks[transport.names.index("floor")]
+    assert floor.emitted is not None
+    below = floor.emitted[:, 0].max(axis=0) * np.asarray(floor.reflection.view_side(jnp.asarray([0.0, 0, 1])))[0]
+    np.testing.assert_allclose(below, 0.5 * np.array([4, 2, 1]) * (0.2 / 0.6) ** 2, rtol=0.05)
+    assert pictures[2][~lamp_seen].max() > 0.1
+    assert relative(pictures[3], pictures[2]) < 0.1
+
+
+@pytest.mark.parametrize(("operator", "nearest"), [("rows", True), ("clusters", False)])
+def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, operator, nearest):
+    """G (T x) = (G T) x, for glossy and diffuse receivers and what they see of both; rows with all coefficients."""
+    transport = direct
+    if operator == "rows":
+        settings = dataclasses.replace(SMALL, bounces=0, operator="rows", coefficients=6 * 8**2)
+        transport = opened(scene, settings, tmp_path_factory.mktemp("rows"))
+    gather = bounce.Gather(transport, "key", 8, nearest)
+    light = np.random.default_rng(0).normal(size=(6 * 8**2, 3)).astype(np.float32)
+    terms = [np.asarray(part) for part in Relighter(transport).terms(jnp.asarray(light))]
+    for block in transport.blocks:
+        frames, group = frames_of(transport.receivers, block.groups), int(block.groups[0])
+        rows, emitted = gather.rows(transport.receivers, group, frames[0], of_group(block.reflection, 0))
+        assert emitted is None
+        assert rows.shape == (128, block.reflection.terms, 3, 6 * 8**2)
+        hits = gather.hits(transport.receivers, group)
+        seen = np.zeros((128, 6 * 8**2), bool)
+        seen[hits.receiver, hits.texel] = True
+        bits = jnp.asarray(np.packbits(seen, axis=1, bitorder="little"))
+        side = bake.bake_rows(bits, frames[0], block.reflection, bake.directions_for(8), cubemap.Texels(8))
+        gathered = gather.light(hits, jnp.moveaxis(side, -1, 0), terms)
+        assert np.abs(gathered).max() > 0.01
+        assert relative(np.einsum("mkcd,dc->mkc", rows, light), gathered) < 2e-3
+
+
+def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_path):
+    transport = opened(scene, SMALL, tmp_path)
+    gather = bounce.Gather(direct, "key", 8)
+    block, before, after = transport.blocks[0], direct.operator.operators[0], transport.operator.operators[0]
+    frames = frames_of(direct.receivers, block.groups)
+    rows, _ = gather.rows(direct.receivers, int(block.groups[0]), frames[0], of_group(block.reflection, 0))
+    chosen = jnp.arange(0, 128 * block.reflection.terms, 17)
+    wanted = np.asarray(before.rows(chosen)) + rows.reshape(-1, *rows.shape[2:])[chosen]
+    assert relative(after.rows(chosen), wanted) < 1e-5
+
+
+def test_an_even_sky_grows_no_brighter_than_albedo_allows(scene, direct, tmp_path):
+    white = jnp.asarray(direct.basis.encode(jnp.ones((3, 6 * 8**2))).T)
+    once = Relighter(opened(scene, SMALL, tmp_path))
+    twice = Relighter(opened(scene, dataclasses.replace(SMALL, bounces=2), tmp_path))
+    pictures = [each.shade(each.terms(white), each.view()) for each in (Relighter(direct), once, twice)]
+    none, one, two = (np.asarray(picture) for picture in pictures)
+    first, second = one - none, two - one
+    assert first.min() > -0.01
+    assert 0.005 < first.mean() < 0.5
+    assert second.mean() < 0.5 * first.mean()
+
+
+def test_pixels_gather_from_vertices(scene, tmp_path):
+    """Exact direct light and the bounce of pixels, against the same that is compressed, and against vertices."""
+    pictures = []
+    for change in (
+        {"receivers": "pixels", "coefficients": "all"},
+        {"receivers": "pixels"},
+        {"receivers": "pixels", "operator": "rows", "coefficients": 6 * 8**2},
+    ):
+        relighter = Relighter(opened(scene, dataclasses.replace(SMALL, tolerance=1e-3, **change), tmp_path))
+        assert scene.environment is not None
+        pictures.append(relighter.image(scene.environment, relighter.view(), background=False)[..., :3])
+    assert relative(pictures[1], pictures[0]) < 2e-3
+    assert relative(pictures[2], pictures[0]) < 2e-3
+
+
+def test_what_is_there_is_used_again(scene, tmp_path):
+    first = jr.precompute(scene, dataclasses.replace(SMALL, bounces=2), tmp_path)
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
+    again = jr.precompute(scene, dataclasses.replace(SMALL, bounces=2), tmp_path)
+    assert again.rays == 0
+    assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
+    assert again.header == first.header
+    less = jr.precompute(scene, dataclasses.replace(SMALL, bounces=1), tmp_path)
+    assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
+    assert len(less.header["passes"]) == 1
+    # Another look around is another layer.
+    jr.precompute(scene, dataclasses.replace(SMALL, bounces=1, gather="nearest"), tmp_path)
+    assert len(list(tmp_path.rglob("0*"))) > len(times)
+
+
+@pytest.mark.parametrize("albedo", [1.0, 1.2])
+def test_what_reflects_all_light_is_refused_before_any_ray(albedo, tmp_path):
+    with pytest.raises(InputError, match=rf"material 'wall' reflects {albedo:.3f} of the light"):
+        jr.precompute(room(albedo), SMALL, tmp_path / "store")
+    assert not (tmp_path / "store").exists()
+
+
+def test_bounced_light_cannot_be_baked_again(scene, tmp_path):
+    transport = opened(scene, SMALL, tmp_path)
+    with pytest.raises(InputError, match="precompute again"):
+        jr.rebake(transport, transport.reflections)
+    with pytest.raises(InputError, match="precompute again"):
+        jr.exact(transport)
