@@ -20,6 +20,8 @@ PROGRAMS = (
     "mesh_size",
     "large_scenes",
     "second_render",
+    "quantised_rows",
+    "interreflections",
     "fit_speed",
     "fit_materials",
     "fit_measured",

@@ -1,0 +1,204 @@
+"""Bounced light: reference images, a closed box, and the study of Figures 6 and 11 of Wang 2006."""
+
+import argparse
+import contextlib
+import dataclasses
+import pathlib
+import tempfile
+import time
+
+import numpy as np
+
+from tests.benchmarks.measuring import Report, answer, megabytes, percent, run_child, shared
+from tests.benchmarks.pictures import contact_sheet
+
+MODULE = "tests.benchmarks.interreflections"
+PICTURE = pathlib.Path(__file__).with_name("interreflections.png")
+# Receivers, operator, coefficients, target of the trimmed error against the reference image.
+REFERENCES = (
+    ("pixels", "clusters", "all", 0.02),
+    ("vertices", "rows", 128, 0.05),
+    ("vertices", "clusters", 128, 0.05),
+)
+GATHER = 8, 16, 24, 32, 64
+COEFFICIENTS = 16, 32, 64, 128, 256
+TOLERANCES = 0.1, 0.05, 0.02, 0.01, 0.005
+
+
+def main():
+    parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="resolution 8; RESULTS.md is left as it is")
+    parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
+    parser.add_argument("--only", choices=("box", "references", "cost", "study"), help="one of the tables")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    resolution = 8 if arguments.quick else 64
+    if arguments.child:
+        _pass_of_the_bunny(arguments.folder, resolution)
+        return
+    shared("reference")
+    parameters = f"resolution {resolution}; look-around 6×32² where nothing else is said; errors by `image_error`"
+    with contextlib.ExitStack() as stack:
+        folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        write = not (arguments.quick or arguments.only)
+        report = stack.enter_context(Report("interreflections", "Interreflections", parameters, write))
+        parts = {"box": box, "references": references, "cost": cost, "study": study}
+        for name, part in parts.items():
+            if arguments.only in (None, name):
+                part(report, folder, resolution)
+        report.speed()
+
+
+def box(report: Report, folder: pathlib.Path, resolution: int):
+    """A closed box whose walls emit and reflect one half, against its series."""
+    import jaxrelight as jr
+    from jaxrelight.brdf.material import Component, Material
+
+    made = jr.box((1, 1, 1), 8)
+    inside = dataclasses.replace(made, faces=made.faces[:, ::-1], normals=-made.normals)
+    wall = Material((Component(jr.lambert([0.5] * 3)),), emission=np.ones(3, np.float32))
+    camera = jr.Camera((0, 0, 0.4), (0.2, 0.1, -1), fov_y=80.0, width=64, height=64)
+    scene = jr.Scene([jr.Part(inside, "wall")], {"wall": wall}, camera)
+    dark, rows = jr.environment(np.zeros((4, 8, 3), np.float32)), []
+    for bounces in (1, 2, 3, 4, 6, 8, 12):
+        settings = jr.Settings(resolution=4, operator="clusters", bounces=bounces, tolerance=0.0)
+        relighter = jr.Relighter.open(jr.precompute(scene, settings, folder / "box").folder)
+        image = relighter.image(dark, relighter.view())[..., :3]
+        series = (1 - 0.5 ** (bounces + 1)) / 0.5
+        off = np.abs(image / series - 1)
+        rows.append([bounces, f"{series:.4f}", percent(off.mean()), percent(off.max()), percent(1 - image.mean() / 2)])
+    report.text("**A closed box** of albedo 0.5, lit by what its walls emit, seen from inside; target 1 %.")
+    heads = ["bounces", "truncated series", "mean error", "largest", "below E/(1 − ρ)"]
+    report.table(heads, rows)
+
+
+def references(report: Report, folder: pathlib.Path, resolution: int):
+    """`bunny_lambert` with one and two bounces against the reference renderer."""
+    import jaxrelight as jr
+
+    scene, rows = jr.load_scene(shared("reference", "bunny_lambert.toml")), []
+    for receivers, operator, coefficients, target in REFERENCES:
+        for bounces in (0, 1, 2):
+            settings = jr.Settings(
+                receivers, resolution, operator=operator, coefficients=coefficients, bounces=bounces, tolerance=0.02
+            )
+            image, made, _ = _lit(scene, settings, folder / "bunny")
+            error = jr.image_error(image, jr.read_image(shared("reference", f"bunny_lambert_b{bounces}.exr")))
+            kept = "all" if coefficients == "all" else (f"N = {coefficients}" if operator == "rows" else operator)
+            passes = sum(seconds for stage, seconds in made.seconds.items() if stage.startswith("bounce"))
+            row = [f"{receivers}, {kept}", made.header["settings"]["bounces"]]
+            numbers = [percent(error.trimmed), percent(error.untrimmed), f"{error.mean_ratio:.4f}", percent(target)]
+            rows.append([*row, *numbers, f"{passes:.0f}", megabytes(made.nbytes.get("transport", 0))])
+    report.text("**`bunny_lambert` against the reference images** with as many bounces.")
+    heads = [
+        "receivers",
+        "bounces",
+        "trimmed",
+        "untrimmed",
+        "mean ratio",
+        "target (trimmed)",
+        "bounces / s",
+        "transport",
+    ]
+    report.table(heads, rows)
+
+
+def cost(report: Report, folder: pathlib.Path, resolution: int):
+    """One pass of the bunny with K = 4, in a process of its own."""
+    with tempfile.TemporaryDirectory() as fresh:
+        quick = ["--quick"] if resolution < 64 else []
+        made = run_child(MODULE, "--child", "--folder", fresh, *quick)
+    report.text(
+        "**One bounce of `bunny_phong`**, K = 4, vertices, clusters, a fresh store. The paper's took 25–32 minutes "
+        "more than direct light (bunny, 1 and 4 terms, P4 2.4 GHz). Targets: 10 minutes, 3221 MB (3 GiB)."
+    )
+    seconds = [f"{made['seconds'][stage]:.0f}" for stage in ("visibility", "transport", "bounce 1")]
+    sizes = [megabytes(made[key]) for key in ("peak_memory", "bytes")]
+    heads = ["receivers", "visibility / s", "direct / s", "bounce / s", "peak memory", "transport of both passes"]
+    report.table(heads, [[f"{made['receivers']:,}", *seconds, *sizes]])
+
+
+def _pass_of_the_bunny(folder: pathlib.Path, resolution: int):
+    import jaxrelight as jr
+
+    scene = jr.load_scene(shared("reference", "bunny_phong.toml"))
+    made = jr.precompute(scene, jr.Settings(resolution=resolution, operator="clusters", bounces=1), folder)
+    answer({"seconds": made.seconds, "receivers": made.receivers, "bytes": made.nbytes["transport"]})
+
+
+def study(report: Report, folder: pathlib.Path, resolution: int):
+    """Error and energy of bounced light over the look-around, the bounces and what is kept of each pass."""
+    import jaxrelight as jr
+
+    resolution = min(resolution, 32)
+    scene = jr.load_scene(shared("reference", "bunny_phong.toml"))
+    scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=192, height=192))
+    store = folder / "study"
+
+    def bounced(bounces: int = 1, **dials) -> tuple[np.ndarray, float]:
+        settings = jr.Settings("vertices", resolution, bounces=bounces, **{"operator": "clusters", **dials})
+        image, made, _ = _lit(scene, settings, store)
+        return image, made.seconds.get(f"bounce {bounces}", 0.0)
+
+    none, _ = bounced(0, tolerance=0.002)
+    finest, _ = bounced(1, gather_resolution=128, tolerance=0.002)
+    light = float(np.linalg.norm((finest - none)[..., :3]))
+    pictures = {}
+
+    def row(image: np.ndarray, seconds: float) -> list[str]:
+        off = float(np.linalg.norm((image - finest)[..., :3]))
+        energy = (image - none)[..., :3].sum() / (finest - none)[..., :3].sum()
+        return [percent(off / light), percent(energy), f"{seconds:.0f}"]
+
+    rows = []
+    for side in GATHER:
+        for gather in ("barycentric", "nearest"):
+            start = time.perf_counter()
+            image, _ = bounced(1, gather_resolution=side, tolerance=0.002, gather=gather)
+            rows.append([f"6×{side}²", gather, *row(image, time.perf_counter() - start)])
+            if gather == "nearest":
+                pictures[f"bounced light, 6×{side}², nearest"] = np.abs(image - none)[..., :3] * 3
+    report.text(
+        f"**What receivers look around with** (Figure 11). `bunny_phong` at resolution {resolution}, vertices, one "
+        "bounce: error of the bounced light alone (picture with it less picture without), relative to that of 6×128²; "
+        "its energy. Seconds include lighting."
+    )
+    heads = ["look-around", "read at", "error of bounced light", "energy", "seconds"]
+    report.table(heads, rows)
+
+    rows = []
+    for tolerance in TOLERANCES:
+        image, seconds = bounced(1, tolerance=tolerance)
+        rows.append([f"clusters, tolerance {tolerance}", *row(image, seconds)])
+    for count in COEFFICIENTS:
+        image, seconds = bounced(1, operator="rows", coefficients=count)
+        rows.append([f"rows, N = {count}", *row(image, seconds)])
+    report.text("**What is kept of each pass**, direct light's error included, at 6×32².")
+    report.table(["kept", "error, of bounced light", "energy", "seconds"], rows)
+
+    rows, last, first = [], none, None
+    pictures["direct light"] = none[..., :3]
+    for bounces in (1, 2, 3):
+        image, seconds = bounced(bounces, tolerance=0.002)
+        added = (image - last)[..., :3].sum() / none[..., :3].sum()
+        first = first or added
+        rows.append([bounces, percent(added), f"{added / first:.3f}", f"{seconds:.0f}"])
+        pictures[f"{bounces} bounce{'s' if bounces > 1 else ''}"] = image[..., :3]
+        last = image
+    report.text(f"**Bounces** (Figure 6): what each adds to the energy of direct light. Pictures: `{PICTURE.name}`.")
+    report.table(["bounce", "added", "of the first", "seconds"], rows)
+    if resolution >= 32:
+        contact_sheet(PICTURE, pictures, 3, 0.0)
+
+
+def _lit(scene, settings, folder: pathlib.Path):
+    """The picture that the scene's own light makes, without background."""
+    import jaxrelight as jr
+
+    made = jr.precompute(scene, settings, folder)
+    relighter = jr.Relighter(jr.load(made.folder, made.header, made.placed))
+    return relighter.image(scene.environment, relighter.view(), background=False), made, relighter
+
+
+if __name__ == "__main__":
+    main()
