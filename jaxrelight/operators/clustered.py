@@ -1,7 +1,6 @@
 """The clustered operator: rows of near receivers as mixtures of a few (Sloan et al. 2003; Liu et al. 2004)."""
 
 import collections
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,9 +17,6 @@ from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type
 
 # Numbers that buckets may be filled up with to have one bucket less: reading them takes as long as what it costs.
 _FILLING = 2**16
-
-# Codes that are decoded at a time.
-_DECODED = 2**14
 
 # The most channels that are products with vectors.
 _FEW = 16
@@ -178,10 +174,8 @@ def _of_one_channel(basis: Float[Array, "b i n"] | Quantised) -> Float[Array, "b
 def _products(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c n"]) -> Float[Array, "b c i"]:
     """Products of rows, the same for all channels where k = 1, with a vector for each channel."""
     if isinstance(rows, Quantised):
-        # Decoded codes of a few groups stay in cache; all of them would be written to memory first.
-        few = max(1, _DECODED // math.prod(rows.shape[1:]))
-        products = jax.lax.map(lambda group: _product(*group), (rows.codes, x), batch_size=few)
-        return products * rows.scale[..., 0]
+        # A sum takes codes as they are read; a product of matrices would have them decoded in memory.
+        return jnp.sum(rows.codes * x[:, :, None], axis=-1) * rows.scale[..., 0]
     if rows.shape[1] > 1:
         return jnp.einsum("bcin,bcn->bci", rows, x, precision="highest")
     one = rows.reshape(rows.shape[0], *rows.shape[2:])
@@ -189,15 +183,9 @@ def _products(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c n"
     return jnp.stack(each, axis=1)
 
 
-def _product(codes: Int[Array, "k i n"], x: Float[Array, "c n"]) -> Float[Array, "c i"]:
-    each = [jnp.matmul(codes[c % len(codes)].astype(x.dtype), x[c], precision="highest") for c in range(len(x))]
-    return jnp.stack(each)
-
-
 def _mixtures(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c i"]) -> Float[Array, "b c n"]:
     """Sums of rows, the same for all channels where k = 1, each times a number for each channel."""
     if isinstance(rows, Quantised):
-        # A sum takes codes as they are read; a product of matrices would have them decoded in memory.
         return jnp.sum(rows.codes * (rows.scale[..., 0] * x)[..., None], axis=2)
     if rows.shape[1] > 1:
         return jnp.einsum("bcin,bci->bcn", rows, x, precision="highest")
@@ -228,7 +216,7 @@ def clustered(clusters: Sequence[Cluster], columns: int) -> Clustered:
     members = collections.defaultdict(list)
     for group, (_, basis, _) in enumerate(clusters):
         if len(basis):
-            members[_multiple(basis.shape[1], 32), _multiple(len(basis), 8)].append(group)
+            members[_multiple(basis.shape[1], 32), _multiple(len(basis), 4)].append(group)
     place, buckets, start = np.full(len(clusters), -1, np.int32), [], 0
     held: list[np.ndarray] = []
     for (s, q), groups in sorted(_joined(members, c * r).items()):

@@ -60,7 +60,7 @@ def test_clusters_are_as_small_as_what_they_hold():
     found = [cluster(group, np.ones(D), 1e-3)[0] for group in matrix]
     assert [basis.shape[0] for _, basis, _ in found] == [0, 1, 0, 0]
     operator = clustered(found, D)
-    assert [part.basis.shape for part in operator.buckets] == [(1, 8, 96)]
+    assert [part.basis.shape for part in operator.buckets] == [(1, 4, 96)]
     assert relative(operator.to_matrix(), matrix.reshape(-1, 1, D)) < 1e-3
     black = clustered(found[2:], D)
     np.testing.assert_array_equal(black.apply(random(D, 3)), np.zeros((12, 3)))
