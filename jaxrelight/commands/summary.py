@@ -11,8 +11,8 @@ rounding. A command that fails prints nothing on standard output: one line on st
     receivers        vertices, or pixels that see a surface
     rays             traced by this run; 0 if all was there
     rays_per_second  of the visibility stage
-    seconds          by stage, in the order they came: geometry, visibility, transport, bounce 1 …; open, environment, view,
-                     light_first (with compilation), light, shade, write; load (the scene), total
+    seconds          by stage, in the order they came: geometry, visibility, transport, bounce 1 …; open, environment,
+                     view, light_first (with compilation), light, shade, write; load (the scene), total
     bytes            on disk, by kind of layer
     operator_bytes   in memory
     kept_energy      share of transport energy that the kept coefficients hold, 0 … 1

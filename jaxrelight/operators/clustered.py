@@ -93,6 +93,15 @@ class Clustered(Operator):
         """Bytes of all arrays, with their filling."""
         return sum(array.nbytes for array in jax.tree.leaves(self))
 
+    def supports(self) -> list[Int[np.ndarray, " s"]]:
+        """The coefficients of each group, on the host; none where it holds nothing."""
+        found: list[np.ndarray] = [np.zeros(0, int)] * len(self.place)
+        for part in self.buckets:
+            for group, support in zip(np.asarray(part.groups), np.asarray(part.support), strict=True):
+                # Ascending, then filled up with zeros.
+                found[group] = support[: 1 + np.count_nonzero(support[1:])].astype(int)
+        return found
+
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: per group one gather of light and two small products.
 

@@ -40,7 +40,7 @@ class _Source(NamedTuple):
     clusters: Clustered
     bucket_of: Int[np.ndarray, " g"]
     index_of: Int[np.ndarray, " g"]
-    lengths: tuple[Int[np.ndarray, " b"], ...]
+    supports: list[Int[np.ndarray, " s"]]
 
 
 class Hits(NamedTuple):
@@ -173,43 +173,39 @@ class Gather:
             yield source, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
 
     def _lines(self, hits: Hits, light_side: Float[Array, "f m k c"], channels: int):
-        """What is seen of each group of vertices, a line for each of the coefficients that its cluster has."""
+        """What is seen of each group of vertices: its coefficients, and a line for each of them."""
         for source, mine, slots, weights, closing in self._closings(hits):
             hit = np.repeat(np.arange(len(mine)), slots.shape[1])
-            slot, share = slots.reshape(-1), weights.reshape(-1)
-            group = slot // GROUP
+            group, vertex = np.divmod(slots.reshape(-1), GROUP)
+            # Entries of a group one after the other, groups of a bucket too.
             order = np.lexsort((group, source.bucket_of[group]))
-            ends = np.flatnonzero(np.diff(group[order], append=-1)) + 1
-            starts = np.concatenate([[0], ends[:-1]])
-            seen = group[order][starts]
-            row_size = light_side.shape[2] * closing.shape[1] * channels * GROUP * light_side.shape[1]
-            most = 2 ** int(np.log2(max(1, _MOST // row_size)))
+            starts = np.flatnonzero(np.diff(group[order], prepend=-1))
+            ends, seen = np.append(starts[1:], len(order)), group[order][starts]
+            of_a_group = GROUP * light_side.shape[1] * light_side.shape[2] * closing.shape[1] * channels
+            most = max(1, 1 << (_MOST // of_a_group).bit_length() - 1)
             for number, part in enumerate(source.clusters.buckets):
-                among = np.flatnonzero(source.bucket_of[seen] == number)
-                for first in range(0, len(among), most):
-                    some = among[first : first + most]
-                    entries = order[starts[some[0]] : ends[some[-1]]]
+                for some in _parts(np.flatnonzero(source.bucket_of[seen] == number), most):
+                    chosen = order[starts[some[0]] : ends[some[-1]]]
+                    entries, wide = _power_of_two(len(chosen)), _power_of_two(len(some), 1)
                     place = np.repeat(np.arange(len(some)), ends[some] - starts[some])
-                    size, wide = _power_of_two(len(entries)), _power_of_two(len(some), 1)
-                    row = np.full(size, wide * GROUP, np.int32)
-                    row[: len(entries)] = place * GROUP + slot[entries] % GROUP
-                    mine_hit = hit[entries]
-                    arrays = (
-                        _padded(hits.receiver[mine][mine_hit], size),
-                        _padded(hits.texel[mine][mine_hit], size),
-                        _padded(mine_hit, size),
-                        _padded(share[entries], size),
+                    columns = (
+                        hits.receiver[mine][hit[chosen]],
+                        hits.texel[mine][hit[chosen]],
+                        hit[chosen],
+                        weights.reshape(-1)[chosen],
+                        place * GROUP + vertex[chosen],
                     )
-                    matrix = _seen(light_side, closing, *arrays, row, wide, channels)
-                    index = np.zeros(wide, np.int32)
-                    index[: len(some)] = source.index_of[seen[some]]
-                    mixed = np.asarray(_mixed(matrix, part.basis, part.weights, index))
-                    lengths = source.lengths[number][index[: len(some)]]
-                    supports = np.asarray(part.support)[index[: len(some)]]
-                    yield from (
-                        (support[:n], rows[:n])
-                        for support, rows, n in zip(supports, mixed[: len(some)], lengths, strict=True)
-                    )
+                    matrix = _seen(light_side, closing, *(_padded(x, entries) for x in columns), wide, channels)
+                    index = _padded(source.index_of[seen[some]], wide)
+                    lines = np.asarray(_mixed(matrix, part.basis, part.weights, index))
+                    for group_seen, found in zip(seen[some], lines, strict=False):
+                        support = source.supports[group_seen]
+                        yield support, found[: len(support)]
+
+
+def _parts(array: np.ndarray, most: int):
+    """Runs of at most so many."""
+    return (array[start : start + most] for start in range(0, len(array), most))
 
 
 class _Sum:
@@ -224,7 +220,6 @@ class _Sum:
 
     def add(self, support: Int[np.ndarray, " s"], rows: Float[np.ndarray, "s w"]):
         """Lines of some coefficients, none twice."""
-        support = support.astype(np.int64)
         new = support[self._place[support] < 0]
         self._place[new] = self._count + np.arange(len(new))
         self._columns.append(new)
@@ -247,13 +242,10 @@ def _source(block: Block, operator) -> _Source:
     clusters = operator if isinstance(operator, Clustered) else as_clusters(operator, group_rows)
     bucket_of = np.full(len(block.groups), -1)
     index_of = np.zeros(len(block.groups), np.int32)
-    lengths = []
     for number, part in enumerate(clusters.buckets):
-        support, groups = np.asarray(part.support), np.asarray(part.groups)
-        filled = 1 + np.count_nonzero(groups[1:])
-        bucket_of[groups[:filled]], index_of[groups[:filled]] = number, np.arange(filled)
-        lengths.append(np.maximum(np.count_nonzero(support, axis=1) + (support[:, 0] == 0), 1))
-    return _Source(block, clusters, bucket_of, index_of, tuple(lengths))
+        groups = np.asarray(part.groups)
+        bucket_of[groups], index_of[groups] = number, np.arange(len(groups))
+    return _Source(block, clusters, bucket_of, index_of, clusters.supports())
 
 
 def _outgoing_shape(block: Block):
@@ -307,8 +299,8 @@ def _seen(
     value = light_side[texel, receiver][:, :, None] * (closing[hit] * share[:, None, None])[:, None]
     value = jnp.broadcast_to(value, (*value.shape[:3], channels))
     out = jnp.zeros((groups * GROUP * m, k, closing.shape[1], channels), value.dtype)
-    # Rows past the end are filling.
-    out = out.at[row * m + receiver].add(value, mode="drop")
+    # Filling has no share.
+    out = out.at[row * m + receiver].add(value, mode="promise_in_bounds")
     return out.reshape(groups, GROUP, m, k, closing.shape[1], channels)
 
 

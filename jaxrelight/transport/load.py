@@ -29,7 +29,8 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.algebra import InBasis, Summed
-from jaxrelight.operators.contract import Basis
+from jaxrelight.operators.clustered import Clustered
+from jaxrelight.operators.contract import Basis, Operator
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
@@ -291,7 +292,11 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
     """The same scene with another reflection for each block, on the same visibility and kept coefficients; no ray.
 
     Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
-    derivative is that of the truncated operator, not of the choice.
+    derivative is that of the truncated operator, not of the choice. Clusters become rows over the coefficients that a
+    group shares, since the few rows that it shares are of the old reflection.
+
+    Raises:
+        InputError: of a transport with bounces.
     """
     settings = transport.settings
     _refuse_bounces(settings, "rebake")
@@ -303,10 +308,9 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         if isinstance(old, Streamed):
             operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
             continue
-        assert isinstance(old, SparseRows)
-        n = old.indices.shape[-1]
         frames = frames_of(transport.receivers, groups)
-        kept = old.indices.reshape(-1, n)[: old.row_count].reshape(len(groups), GROUP, reflection.terms, n)
+        kept, counts = _kept(old, len(groups), reflection.terms)
+        n = kept.shape[-1]
         values = [
             bake.bake_kept(
                 jnp.asarray(transport.visibility.read("bits", int(group))),
@@ -316,12 +320,28 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
                 transport.basis,
                 kept[i],
             )
+            * (np.arange(n) < counts[i])
             for i, group in enumerate(groups)
         ]
         joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
         held = padded_receivers(len(groups) * GROUP) * reflection.terms
-        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.columns, held))
+        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.shape[1], held))
     return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
+
+
+def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarray, "g m k n"], Int[np.ndarray, " g"]]:
+    """Numbers of the coefficients of every row, and how many count; zeros follow where a cluster has fewer."""
+    if isinstance(old, SparseRows):
+        n = old.indices.shape[-1]
+        kept = old.indices.reshape(-1, n)[: old.row_count].reshape(groups, GROUP, terms, n)
+        return kept, np.full(groups, n)
+    assert isinstance(old, Clustered)
+    supports = old.supports()
+    counts = np.array([len(support) for support in supports])
+    kept = np.zeros((groups, GROUP, terms, max(1, counts.max())), np.int32)
+    for group, support in enumerate(supports):
+        kept[group, ..., : len(support)] = support
+    return kept, counts
 
 
 def _read_geometry(layer: store.Layer) -> Surfaces:

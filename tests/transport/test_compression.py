@@ -1,0 +1,119 @@
+"""Rows and clusters as stores keep them: how near they are, how small, and what is refused."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import InputError, Relighter, Settings, store
+from jaxrelight.demo_scene import demo_scene
+from jaxrelight.lights.natural_spectrum import natural_spectrum
+from jaxrelight.operators.clustered import Clustered
+from jaxrelight.transport.load import Transport, load
+
+SMALL = Settings(resolution=8, terms=2, factor_resolution=12, operator="clusters")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return demo_scene(detail=0.1, size=16)
+
+
+@pytest.fixture(scope="module")
+def folder(scene, tmp_path_factory):
+    return tmp_path_factory.mktemp("clusters") / "store"
+
+
+def opened(scene, folder, **dials) -> Transport:
+    made = jr.precompute(scene, dataclasses.replace(SMALL, **dials), folder)
+    return load(made.folder, made.header, made.placed)
+
+
+def test_the_error_under_natural_light_stays_within_the_tolerance(scene, folder):
+    """The mean over random lights of its spectrum, each group's own; and bytes fall as it grows."""
+    spectrum, sizes = natural_spectrum(8), []
+    light = np.random.default_rng(0).normal(size=(len(spectrum), 3, 40)) * spectrum[:, None, None]
+    lights = jnp.asarray(light.reshape(len(spectrum), -1), jnp.float32)
+    for tolerance in (0.0, 0.02, 0.2):
+        transport = opened(scene, folder, tolerance=tolerance)
+        exact = jr.exact(transport)
+        for kept, whole in zip(transport.operator.operators, exact.operator.operators, strict=True):
+            assert isinstance(kept, Clustered)
+            matrix = transport.basis.encode(whole.to_matrix())
+            c, rows = kept.channels, kept.group_rows
+            off = np.asarray(kept.to_matrix() - matrix).reshape(-1, rows * c, len(spectrum))
+            true = np.asarray(matrix).reshape(off.shape)
+            left = np.linalg.norm(off * spectrum, axis=(1, 2)) / np.linalg.norm(true * spectrum, axis=(1, 2))
+            assert left.max() <= tolerance + 1e-5
+            if tolerance:
+                assert left.max() > tolerance / 20
+            found, wanted = (np.einsum("grd,dn->grn", x, np.asarray(lights)) for x in (off, true))
+            assert np.linalg.norm(found) <= 1.3 * tolerance * np.linalg.norm(wanted) + 1e-4
+        sizes.append(transport.operator.nbytes)
+    assert sizes == sorted(sizes, reverse=True)
+    assert len(set(sizes)) == 3
+
+
+def test_the_dropped_energy_is_that_of_the_rows(scene, folder):
+    transport = opened(scene, folder, tolerance=0.1)
+    for kept, whole, block in zip(
+        transport.operator.operators, jr.exact(transport).operator.operators, transport.blocks, strict=True
+    ):
+        off = kept.to_matrix() - transport.basis.encode(whole.to_matrix())
+        assert block.dropped is not None
+        np.testing.assert_allclose(block.dropped, np.sum(np.square(off), axis=-1), rtol=1e-3, atol=1e-8)
+    assert 0.9 < transport.kept < 1
+
+
+def test_light_is_differentiable_through_clusters(scene, folder):
+    relighter = Relighter(opened(scene, folder, tolerance=0.05))
+    light = jnp.asarray(np.random.default_rng(1).normal(size=(6 * 8**2, 3)), jnp.float32)
+    view = relighter.view()
+
+    def brightness(light):
+        return jnp.sum(relighter.shade(relighter.terms(light), view))
+
+    gradient = jax.grad(brightness)(light)
+    # Linear, so that the gradient times the light is the value.
+    np.testing.assert_allclose(jnp.vdot(gradient, light), brightness(light), rtol=1e-4)
+    assert np.isfinite(gradient).all()
+
+
+def test_clusters_are_baked_again_as_rows_of_what_they_share(scene, folder):
+    transport = opened(scene, folder, tolerance=0.0)
+    again = jr.rebake(transport, transport.reflections)
+    light = np.random.default_rng(2).normal(size=(6 * 8**2, 3)).astype(np.float32)
+    for before, after in zip(Relighter(transport).terms(light), Relighter(again).terms(light), strict=True):
+        np.testing.assert_allclose(after, before, atol=2e-4 * np.abs(before).max())
+
+
+def test_indices_out_of_range_are_refused(scene, tmp_path):
+    made = jr.precompute(scene, SMALL, tmp_path / "store")
+    name = made.header["materials"][0]["transport"]
+    layer = store.open_layer(made.folder / name)
+    arrays = next(layer.read_groups())
+    layer.write(0, **{**arrays, "support": arrays["support"] + np.uint16(6 * 8**2)})
+    with pytest.raises(InputError, match="indices are out of range"):
+        load(made.folder)
+
+
+def test_groups_that_no_light_reaches_hold_nothing(tmp_path):
+    """A floor under a lid: whatever lies between them is black."""
+    lid = jr.plane((2, 2), 12)
+    lid = dataclasses.replace(lid, vertices=lid.vertices + np.array([0, 1e-3, 0]))
+    floor = dataclasses.replace(jr.plane((1, 1), 11))
+    grey = jr.lambert([0.5] * 3)
+    camera = jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8)
+    parts = [jr.Part(floor, "floor"), jr.Part(lid, "lid")]
+    dark = jr.Scene(parts, {"floor": grey, "lid": grey}, camera)
+    transport = opened(dark, tmp_path / "store")
+    black = transport.operator.operators[transport.names.index("floor")]
+    lit = transport.operator.operators[transport.names.index("lid")]
+    assert isinstance(black, Clustered)
+    assert not black.buckets
+    # Where each column is held, and nothing else.
+    assert black.nbytes <= 4 * (6 * 8**2 + 8) < lit.nbytes
+    np.testing.assert_array_equal(black.apply(jnp.ones((6 * 8**2, 3))), 0)
