@@ -202,7 +202,7 @@ def sample(scene, terms: int, count: int, lights, quick: bool) -> Sample:
     tolerances = TOLERANCES[:3] if quick else TOLERANCES
     clusters: dict[float, list[Cluster]] = {tolerance: [] for tolerance in tolerances}
     # Unweighted ones, for about as many bytes.
-    clusters |= {-tolerance: [] for tolerance in (0.1, 0.05, 0.02, 0.01)}
+    clusters |= {-tolerance: [] for tolerance in (0.5, 0.35, 0.25, 0.15, 0.1)}
     indices, values = [], []
     for rows in baked:
         energy = np.einsum("rcd,rcd->rd", rows, rows)
