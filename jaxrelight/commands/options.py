@@ -36,6 +36,8 @@ class PrecomputeOptions:
     tolerance: float = 0.02
     """What clusters may leave out, relative to a group's radiance under natural light; and how much light further
     bounces may add before they are left out."""
+    bits: Literal[8, 16, 32] = 32
+    """Of every number of compressed transport: 8 take a third of the bytes, and add less than what is left out."""
     bounces: int = 0
     """How often light is reflected at most on its way from the first surface to the last. Each takes about as long as
     the direct light; relighting costs no more."""
@@ -57,6 +59,7 @@ class PrecomputeOptions:
             self.factor_resolution,
             self.operator,
             self.tolerance,
+            self.bits,
             self.bounces,
             self.gather_resolution,
             self.gather,

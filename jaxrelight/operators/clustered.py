@@ -265,6 +265,16 @@ def quantised_clusters(operator: Clustered, bits: int) -> Clustered:
     return eqx.tree_at(lambda one: one.buckets, operator, tuple(coded(part) for part in operator.buckets))
 
 
+def decoded_clusters(operator: Clustered) -> Clustered:
+    """The same in floating point."""
+
+    def plain(part: Bucket) -> Bucket:
+        basis = jnp.swapaxes(part.basis.decoded(), 1, 2) if isinstance(part.basis, Quantised) else part.basis
+        return Bucket(part.groups, part.support, basis, decoded(part.weights))
+
+    return eqx.tree_at(lambda one: one.buckets, operator, tuple(plain(part) for part in operator.buckets))
+
+
 def _multiple(count: int, of: int) -> int:
     """The next multiple."""
     return -(-count // of) * of

@@ -25,7 +25,7 @@ from jaxrelight.geometry.frame import to_local
 from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
-from jaxrelight.operators.clustered import Clustered, as_clusters
+from jaxrelight.operators.clustered import Clustered, as_clusters, decoded_clusters
 from jaxrelight.transport import bake
 from jaxrelight.transport.load import Block, Transport
 
@@ -239,7 +239,7 @@ class _Sum:
 
 def _source(block: Block, operator) -> _Source:
     group_rows = GROUP * block.reflection.terms
-    clusters = operator if isinstance(operator, Clustered) else as_clusters(operator, group_rows)
+    clusters = decoded_clusters(operator) if isinstance(operator, Clustered) else as_clusters(operator, group_rows)
     bucket_of = np.full(len(block.groups), -1)
     index_of = np.zeros(len(block.groups), np.int32)
     for number, part in enumerate(clusters.buckets):

@@ -1,5 +1,6 @@
 """What is kept of the rows of a group, how a layer holds it, and the operator that it makes."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -13,11 +14,14 @@ from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lights.natural_spectrum import natural_spectrum
-from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered
+from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
+from jaxrelight.operators.quantised import Quantised, quantised
 from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.transport import bake
 from jaxrelight.transport.settings import Settings
 
+# Neighbours in a row that share a scale, where rows are codes: as many bytes as one for each level, and nearer.
+_RUN = 16
 # Rows of bounced light of a group, over the coefficients of light; None where there are none.
 Bounced = Float[np.ndarray, "m k c d"] | None
 
@@ -46,6 +50,7 @@ class Rows:
 
     def __init__(self, settings: Settings):
         self._count = int(settings.coefficients)
+        self._bits = settings.bits
         self._basis = HaarFaces(settings.resolution)
         self._directions = bake.directions_for(settings.resolution, settings.samples_per_side)
         self._columns = 6 * settings.resolution**2
@@ -53,13 +58,14 @@ class Rows:
     @property
     def dial(self):
         """What a layer's key has to tell of it."""
-        return self._count
+        return self._count if self._bits == 32 else [self._count, self._bits]
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """Indices shared by the channels, and values."""
+        shape = GROUP, terms, channels
         return {
             "indices": ((GROUP, terms, self._count), smallest_index_type(self._columns)),
-            "values": ((GROUP, terms, channels, self._count), np.dtype(np.float32)),
+            **_coded_layout("values", (*shape, self._count), (*shape, -(-self._count // _RUN)), self._bits),
             **_energies(terms, channels),
         }
 
@@ -67,21 +73,27 @@ class Rows:
         """Of the sum of direct and bounced light."""
         more = () if bounced is None else (jnp.asarray(bounced),)
         kept = bake.bake_truncated(bits, frames, reflection, self._directions, self._basis, self._count, *more)
+        values = np.asarray(kept.values)
+        coded = _coded("values", values, self._bits, _RUN)
+        lost = np.square(values - _decoded("values", coded, _RUN)).sum(axis=-1)
         return {
             "indices": np.asarray(kept.indices).astype(smallest_index_type(self._columns)),
-            "values": np.asarray(kept.values),
-            "dropped": np.asarray(kept.dropped),
+            **coded,
+            "dropped": np.asarray(kept.dropped) + lost,
             "total": np.asarray(kept.total),
         }
 
     def open(self, layer: store.Layer) -> Opened:
         """Row-sparse; of padded length, so that few shapes are compiled."""
-        arrays = layer.read_all(["indices", "values", "dropped", "total"])
+        arrays = layer.read_all([name for name in layer.arrays if name != "emitted"])
         indices, values = arrays["indices"], arrays["values"]
         _check(layer, indices, self._columns)
         g, m, k, c, n = values.shape
+        rows: np.ndarray | Quantised = values.reshape(-1, c, n)
+        if "values_scale" in arrays:
+            rows = Quantised(rows, arrays["values_scale"].reshape(g * m * k, c, -1), min(_RUN, n))
         held = padded_receivers(g * m) * k
-        operator = sparse_rows(indices.reshape(-1, n), values.reshape(-1, c, n), self._columns, held)
+        operator = sparse_rows(indices.reshape(-1, n), rows, self._columns, held)
         return Opened(operator, arrays["dropped"].reshape(-1, c), arrays["total"].reshape(-1, c))
 
 
@@ -90,6 +102,7 @@ class Clusters:
 
     def __init__(self, settings: Settings):
         self._tolerance = settings.tolerance
+        self._bits = settings.bits
         self._basis = HaarFaces(settings.resolution)
         self._directions = bake.directions_for(settings.resolution, settings.samples_per_side)
         self._columns = 6 * settings.resolution**2
@@ -98,15 +111,14 @@ class Clusters:
     @property
     def dial(self):
         """What a layer's key has to tell of it."""
-        return ["clusters", self._tolerance]
+        return ["clusters", self._tolerance, *([] if self._bits == 32 else [self._bits])]
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-        """The arrays of a `Cluster`, as long as it is."""
-        real = np.dtype(np.float32)
+        """The arrays of a `Cluster`, as long as it is; the basis coefficient by coefficient."""
         return {
             "support": ((-1,), smallest_index_type(self._columns)),
-            "basis": ((-1, -1), real),
-            "weights": ((channels, -1, GROUP * terms), real),
+            **_coded_layout("basis", (-1, -1), (-1, 1), self._bits),
+            **_coded_layout("weights", (channels, -1, GROUP * terms), (channels, -1, 1), self._bits),
             **_energies(terms, channels),
         }
 
@@ -119,10 +131,15 @@ class Clusters:
         """Of rows that are written out."""
         m, k, c, d = rows.shape
         found, dropped = cluster(rows.reshape(m * k, c, d), self._spectrum, self._tolerance)
+        coded = _coded("basis", np.ascontiguousarray(found.basis.T), self._bits)
+        coded |= _coded("weights", found.weights, self._bits)
+        if self._bits < 32:
+            basis, weights = (_decoded(name, coded) for name in ("basis", "weights"))
+            lost = _mixed(found.weights, found.basis.T) - _mixed(weights, basis)
+            dropped = dropped + np.square(lost).sum(axis=-1)
         return {
             "support": found.support.astype(smallest_index_type(self._columns)),
-            "basis": found.basis,
-            "weights": found.weights,
+            **coded,
             "dropped": dropped.reshape(m, k, c),
             "total": np.einsum("mkcd,mkcd->mkc", rows, rows),
         }
@@ -132,15 +149,44 @@ class Clusters:
         clusters, energies = [], []
         for group in layer.read_groups():
             _check(layer, group["support"], self._columns)
-            clusters.append(Cluster(group["support"], group["basis"], group["weights"]))
+            basis, weights = (_decoded(name, group) for name in ("basis", "weights"))
+            clusters.append(Cluster(group["support"], basis.T, weights))
             energies.append([group[name].reshape(-1, group[name].shape[-1]) for name in ("dropped", "total")])
         dropped, total = (np.concatenate(parts) for parts in zip(*energies, strict=True))
-        return Opened(clustered(clusters, self._columns), dropped, total)
+        operator = clustered(clusters, self._columns)
+        return Opened(operator if self._bits == 32 else quantised_clusters(operator, self._bits), dropped, total)
 
 
 def _check(layer: store.Layer, indices: np.ndarray, columns: int):
     if indices.size and indices.max() >= columns:
         raise InputError(f"{layer.folder}: indices are out of range; delete this folder and run precompute again")
+
+
+def _mixed(weights: Float[np.ndarray, "c q r"], basis: Float[np.ndarray, "s q"]) -> Float[np.ndarray, "r c s"]:
+    return np.einsum("cqr,sq->rcs", weights, basis, optimize=True)
+
+
+def _coded_layout(name: str, shape: tuple[int, ...], scales: tuple[int, ...], bits: int):
+    """Of an array that is kept as it is, or as codes and scales."""
+    if bits == 32:
+        return {name: (shape, np.dtype(np.float32))}
+    return {name: (shape, np.dtype(f"int{bits}")), f"{name}_scale": (scales, np.dtype(np.float32))}
+
+
+def _coded(name: str, values: np.ndarray, bits: int, run: int | None = None) -> dict[str, np.ndarray]:
+    if bits == 32:
+        return {name: values}
+    found = quantised(values, bits, run) if values.size else None
+    if found is None:
+        return {name: values.astype(f"int{bits}"), f"{name}_scale": np.zeros((*values.shape[:-1], 1), np.float32)}
+    return {name: np.asarray(found.codes), f"{name}_scale": np.asarray(found.scale)}
+
+
+def _decoded(name: str, arrays: Mapping[str, np.ndarray], run: int | None = None) -> np.ndarray:
+    codes, scale = arrays[name], arrays.get(f"{name}_scale")
+    if scale is None or not codes.size:
+        return codes.astype(np.float32)
+    return codes * np.repeat(scale, run or codes.shape[-1], axis=-1)[..., : codes.shape[-1]]
 
 
 def _energies(terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:

@@ -21,6 +21,7 @@ class Settings:
         operator: "rows" keep `coefficients` each; "clusters" of near receivers share as few rows as `tolerance` allows.
         tolerance: largest error that may be left in the radiance of a group under natural light, relative to its
             root-mean-square.
+        bits: of every number of compressed rows: 32 (floating point), or codes of 16 or 8 (Wang 2006 §4.1.2).
         bounces: how often light is reflected on its way, at most, after it has reached the first surface. No more are
             made than leave out `tolerance` of all light.
         gather_resolution: side of the six faces of the cube map that receivers look around with for bounced light.
@@ -36,6 +37,7 @@ class Settings:
     factor_resolution: int = 48
     operator: Literal["rows", "clusters"] = "rows"
     tolerance: float = 0.02
+    bits: Literal[8, 16, 32] = 32
     bounces: int = 0
     gather_resolution: int = 32
     gather: Literal["barycentric", "nearest"] = "barycentric"
@@ -64,6 +66,7 @@ class Settings:
             real and 0 <= self.tolerance < 1,
             f"tolerance is {self.tolerance!r}; it must be at least 0, which leaves nothing out, and below 1",
         )
+        require(self.bits in (8, 16, 32), f"bits are {self.bits}; they must be 8, 16 or 32")
         require(self.bounces >= 0, f"bounces are {self.bounces}; they must be 0 or more")
         side = self.gather_resolution
         require(4 <= side <= 256 and side % 2 == 0, f"gather resolution is {side}; it must be even, from 4 to 256")

@@ -21,6 +21,7 @@ PROGRAMS = (
     "large_scenes",
     "second_render",
     "quantised_rows",
+    "clusters",
     "interreflections",
     "fit_speed",
     "fit_materials",

@@ -181,6 +181,7 @@ def test_render_then_again(folder, run):
         "factor_resolution": 8,
         "operator": "rows",
         "tolerance": 0.02,
+        "bits": 32,
         "bounces": 0,
         "gather_resolution": 32,
         "gather": "barycentric",

@@ -13,7 +13,7 @@ any_settings: Any = Settings
 
 def test_defaults():
     settings = Settings()
-    assert dataclasses.astuple(settings) == ("vertices", 64, 1, 4, 128, 48, "rows", 0.02, 0, 32, "barycentric")
+    assert dataclasses.astuple(settings) == ("vertices", 64, 1, 4, 128, 48, "rows", 0.02, 32, 0, 32, "barycentric")
     assert settings.samples_per_side == 1
 
 
