@@ -182,7 +182,7 @@ class Gather:
             starts = np.flatnonzero(np.diff(group[order], prepend=-1))
             ends, seen = np.append(starts[1:], len(order)), group[order][starts]
             of_a_group = GROUP * light_side.shape[1] * light_side.shape[2] * closing.shape[1] * channels
-            most = max(1, 1 << (_MOST // of_a_group).bit_length() - 1)
+            most = 1 << max(1, _MOST // of_a_group).bit_length() - 1
             for number, part in enumerate(source.clusters.buckets):
                 for some in _parts(np.flatnonzero(source.bucket_of[seen] == number), most):
                     chosen = order[starts[some[0]] : ends[some[-1]]]

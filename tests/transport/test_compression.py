@@ -119,7 +119,7 @@ def test_groups_that_no_light_reaches_hold_nothing(tmp_path):
     np.testing.assert_array_equal(black.apply(jnp.ones((6 * 8**2, 3))), 0)
 
 
-@pytest.mark.parametrize("operator", ["rows", "clusters"])
+@pytest.mark.parametrize("operator", [pytest.param("rows", marks=pytest.mark.slow), "clusters"])
 def test_codes_are_near_and_small(scene, folder, operator):
     """In 16 bits the light is the same to 1e-3, in 8 to 2e-2; files, operators and the dropped energy tell it."""
     dials = {"operator": operator, "coefficients": 64, "tolerance": 0.02}
