@@ -125,7 +125,10 @@ class Clusters:
     def compress(self, bits, frames, reflection: Reflection, bounced: Bounced = None) -> dict[str, np.ndarray]:
         """Of the sum of direct and bounced light."""
         rows = np.asarray(bake.bake_rows(bits, frames, reflection, self._directions, self._basis))
-        return self.compress_rows(rows if bounced is None else rows + bounced)
+        if bounced is not None:
+            # In place: each is the largest array that there is.
+            bounced += rows
+        return self.compress_rows(rows if bounced is None else bounced)
 
     def compress_rows(self, rows: Float[np.ndarray, "m k c d"]) -> dict[str, np.ndarray]:
         """Of rows that are written out."""
