@@ -1,5 +1,7 @@
 """Array lengths rounded up to one of few, so that another mesh of about the same size compiles nothing new."""
 
+import numpy as np
+
 
 def bucket(count: int, least: int) -> int:
     """The next length of the form least·2^e·(8 … 15)/8: at most an eighth of it is padding, above `least`.
@@ -11,3 +13,12 @@ def bucket(count: int, least: int) -> int:
         steps = (size * step // 8 for step in range(9, 17))
         size = next((step for step in steps if step >= count), size * 2)
     return size
+
+
+def filled_up(rows: np.ndarray, length: int, fill: int = 0) -> np.ndarray:
+    """An array in single precision, followed by rows of `fill` up to a length.
+
+    NumPy's, so that nothing is compiled to put them in place.
+    """
+    wider = np.pad(rows, ((0, length - len(rows)), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
+    return wider.astype(np.int32 if wider.dtype.kind == "i" else np.float32)

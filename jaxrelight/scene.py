@@ -81,6 +81,11 @@ class Scene:
             ]
         )
 
+    @property
+    def emits(self) -> bool:
+        """Whether surfaces emit light."""
+        return any(as_material(self.materials[part.material]).emission is not None for part in self.parts)
+
     def check_materials(self):
         """Refuses parts whose material is not given, or cannot be put on them.
 

@@ -27,7 +27,7 @@ LAYERS = (
     ("demo_scene", "transport.compression"),
     ("transport.load",),
     ("mesh_scene",),
-    ("transport.bounce",),
+    ("transport.bounce", "transport.rebake"),
     ("transport.layers",),
     ("transport.precompute",),
     ("lighting",),

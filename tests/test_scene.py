@@ -150,6 +150,14 @@ def test_terms_of_a_material(folder):
     assert load_scene(_write(folder, GOOD)).terms == {}
 
 
+def test_emission_of_a_material(folder):
+    for number, radiance in (("2.5", [2.5, 2.5, 2.5]), ("[3, 2, 0]", [3, 2, 0])):
+        scene = load_scene(_write(folder, _changed(SMALL, "albedo = 0.5", f"albedo = 0.5\nemission = {number}")))
+        assert scene.emits
+        np.testing.assert_array_equal(as_material(scene.materials["paper"]).emission, radiance)
+    assert not load_scene(_write(folder, _changed(SMALL, "albedo = 0.5", "albedo = 0.5\nemission = 0"))).emits
+
+
 def test_mesh_file_is_relative_to_the_scene(folder):
     (folder / "sub").mkdir()
     (folder / "sub" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
@@ -291,6 +299,7 @@ def test_unknown_key_without_a_like_lists_the_known(folder):
         ("[0, 0, 0]", "[0, 0, 0]\nheight = 0", "[camera]: the camera's image is 512 × 0"),
         ("albedo = 0.5", "albedo = [0.5, 0.5]", "[paper]: 'albedo' must be a number or 3 numbers"),
         ("albedo = 0.5", "albedo = -0.5", "[paper]: 'albedo' must not be negative"),
+        ("albedo = 0.5", "albedo = 0.5\nemission = [1, -1, 1]", "[paper]: 'emission' must not be negative"),
         ("albedo = 0.5", "albedo = nan", "[paper]: 'albedo' must be finite"),
         ("albedo = 0.5", "albedo = true", "[paper]: 'albedo' must be a number"),
         ("albedo = 0.5", "albedo = 0.5\nterms = 0", "[paper]: 'terms' must be at least 1, not 0"),

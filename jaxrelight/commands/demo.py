@@ -39,8 +39,9 @@ class Demo:
         from jaxrelight.errors import InputError
         from jaxrelight.images import image_error, write_image
         from jaxrelight.lighting.transport import Relighter
-        from jaxrelight.transport.load import exact, load
+        from jaxrelight.transport.load import load
         from jaxrelight.transport.precompute import precompute
+        from jaxrelight.transport.rebake import exact
         from jaxrelight.transport.settings import Settings
 
         if not 0.05 <= self.detail <= 8 or not 16 <= self.height <= 4096:

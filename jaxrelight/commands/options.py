@@ -81,12 +81,14 @@ class LightOptions:
     zero_nonfinite: bool = False
     """Set NaN and infinite pixels of the map to 0 instead of refusing it."""
 
-    def environment(self, default: "Environment | None") -> "Environment":
-        """The environment that these options and the scene's own make together."""
+    def environment(self, default: "Environment | None", *, emits: bool = False) -> "Environment":
+        """The environment that these options and the scene's own make together; a black one if surfaces emit light."""
         import dataclasses
 
+        import numpy as np
+
         from jaxrelight.errors import InputError
-        from jaxrelight.lights.environment import load_environment
+        from jaxrelight.lights.environment import Environment, load_environment
 
         if self.env is not None:
             return load_environment(
@@ -98,6 +100,8 @@ class LightOptions:
             )
         if self.layout != "auto":
             raise InputError("--layout says how --env MAP is read; give both, or set 'layout' in the scene")
+        if default is None and emits:
+            return Environment(np.zeros((2, 4, 3), np.float32))
         if default is None:
             raise InputError("the scene has no environment; name one with --env MAP")
         return dataclasses.replace(

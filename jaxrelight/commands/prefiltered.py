@@ -50,11 +50,11 @@ def prefiltered_picture(
     # Lights are enough.
     asked = light != LightOptions()
     environment = light.environment(scene.environment) if scene.environment or asked or not scene.lights else None
+    with timed(seconds, "view"):
+        seen = look_at(scene, minification)
     if environment is not None:
         notes(dict.fromkeys(environment.notes))
         notes(["prefiltered: the environment casts no shadows, and surfaces do not light each other"])
-    with timed(seconds, "view"):
-        seen = look_at(scene, minification)
     image = np.zeros((*seen.covered.shape, 3), np.float32)
     maps_bytes = 0
     if environment is not None:

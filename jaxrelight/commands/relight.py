@@ -45,7 +45,7 @@ class Relight:
         with timed(seconds, "open"):
             transport = load(self.store)
         with timed(seconds, "environment"):
-            environment = self.light.environment(stored_environment(transport))
+            environment = self.light.environment(stored_environment(transport), emits=transport.emits)
             notes(environment.notes)
         camera = self.view.camera(transport.camera)
         picture = light_picture(Relighter(transport), environment, camera, self.output, self.picture)

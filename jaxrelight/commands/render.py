@@ -70,7 +70,7 @@ class Render:
             if self.lighting == "transport":
                 # Found now rather than after a minute of rays.
                 scene.check_distant()
-                environment = self.light.environment(scene.environment)
+                environment = self.light.environment(scene.environment, emits=scene.emits)
                 notes(dict.fromkeys((*scene.notes, *environment.notes)))
         if self.lighting == "prefiltered":
             self._prefiltered(scene, seconds, start)

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.buckets import bucket
+from jaxrelight.buckets import bucket, filled_up
 
 
 class Pixels(eqx.Module):
@@ -24,10 +24,5 @@ class Pixels(eqx.Module):
 
 
 def padded(rows: np.ndarray, mine: Int[np.ndarray, " m"], fill: int = 0) -> np.ndarray:
-    """Some rows of an array in single precision, followed by rows of `fill` up to the length of a bucket.
-
-    NumPy's, so that nothing is compiled to put them in place.
-    """
-    more = bucket(len(mine), 1024) - len(mine)
-    wider = np.pad(rows[mine], ((0, more), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
-    return wider.astype(np.int32 if wider.dtype.kind == "i" else np.float32)
+    """Some rows of an array in single precision, followed by rows of `fill` up to the length of a bucket."""
+    return filled_up(rows[mine], bucket(len(mine), 1024), fill)

@@ -21,6 +21,7 @@ from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.buckets import filled_up
 from jaxrelight.geometry.frame import to_local
 from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
@@ -88,7 +89,7 @@ class Gather:
         closing = [_outgoing_shape(block)[-1] for block in transport.blocks]
         emitted = [len(block.emission) for block in transport.blocks if block.emission is not None]
         self.channels = max(*closing, *emitted, *(source.clusters.channels for source in self._sources))
-        self.emits = bool(emitted)
+        self.emits = transport.emits
         self._directions = bake.directions_for(resolution)
 
     def rows(
@@ -167,8 +168,9 @@ class Gather:
             if not len(mine):
                 continue
             length = _power_of_two(len(mine))
-            local = _local(*(_padded(rows[mine], length) for rows in (points.normals, points.tangents, points.omega_o)))
-            uv, footprint = _padded(points.uv[mine], length), _padded(points.footprint[mine], length)
+            directions = points.normals, points.tangents, points.omega_o
+            local = _local(*(filled_up(rows[mine], length) for rows in directions))
+            uv, footprint = filled_up(points.uv[mine], length), filled_up(points.footprint[mine], length)
             closing = _outgoing(source.block.reflection, source.block.weight, local, uv, footprint)
             yield source, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
 
@@ -195,8 +197,8 @@ class Gather:
                         weights.reshape(-1)[chosen],
                         place * GROUP + vertex[chosen],
                     )
-                    matrix = _seen(light_side, closing, *(_padded(x, entries) for x in columns), wide, channels)
-                    index = _padded(source.index_of[seen[some]], wide)
+                    matrix = _seen(light_side, closing, *(filled_up(x, entries) for x in columns), wide, channels)
+                    index = filled_up(source.index_of[seen[some]], wide)
                     lines = np.asarray(_mixed(matrix, part.basis, part.weights, index))
                     for group_seen, found in zip(seen[some], lines, strict=False):
                         support = source.supports[group_seen]
@@ -256,11 +258,6 @@ def _outgoing_shape(block: Block):
 
 def _power_of_two(count: int, least: int = 1024) -> int:
     return max(least, 1 << (count - 1).bit_length())
-
-
-def _padded(rows: np.ndarray, length: int) -> np.ndarray:
-    wider = np.pad(rows, ((0, length - len(rows)), *[(0, 0)] * (rows.ndim - 1)))
-    return wider.astype(np.int32 if wider.dtype.kind == "i" else np.float32)
 
 
 _local = jax.jit(to_local)

@@ -123,7 +123,7 @@ class Clusters:
         }
 
     def compress(self, bits, frames, reflection: Reflection, bounced: Bounced = None) -> dict[str, np.ndarray]:
-        """Of the sum of direct and bounced light."""
+        """Of the sum of direct and bounced light, which is written over `bounced`."""
         rows = np.asarray(bake.bake_rows(bits, frames, reflection, self._directions, self._basis))
         if bounced is not None:
             # In place: each is the largest array that there is.

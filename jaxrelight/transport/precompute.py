@@ -66,8 +66,10 @@ def precompute(
     """
     scene.check_distant()
     scene.check_materials()
+    # Bounces pass through vertices, whatever the receivers are.
+    checked = _of_pass(settings, 0) if settings.bounces else settings
     for part in scene.parts:
-        check_terms_of(scene, part.material, settings)
+        check_terms_of(scene, part.material, checked)
     albedo = _largest_albedo(scene) if settings.bounces else 0.0
     seconds: dict[str, float] = {}
     passes, left = [], 1.0

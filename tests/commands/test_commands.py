@@ -163,6 +163,19 @@ def test_dark_store_needs_an_environment(folder, run):
     assert summary_of(run("info", "dark.toml", "--json"))["environment"] is None
 
 
+def test_surfaces_that_emit_need_no_environment(folder, run):
+    lit = SCENE.replace('[environment]\nfile = "sky.exr"\n', "").replace("diffuse = 0.1", "diffuse = 0.1\nemission = 5")
+    (folder / "lit.toml").write_text(lit)
+    dials = *DIALS, "--bounces", "1", "--gather-resolution", "8"
+    made = summary_of(run("render", "lit.toml", "-o", "a.exr", "--store", "made", *dials, "--json"))
+    assert made["mean_radiance"] > 0.1
+    assert made["seconds"]["bounce 1"] > 0
+    again = summary_of(run("relight", "made", "-o", "b.exr", "--json"))
+    assert again["mean_radiance"] == pytest.approx(made["mean_radiance"])
+    message = refusal_of(run("render", "lit.toml", "-o", "c.exr", "--env", "sky.exr", "--lighting", "prefiltered"))
+    assert "material 'gloss' emits light, which prefiltered lighting has not" in message
+
+
 # What is done.
 
 

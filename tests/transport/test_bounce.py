@@ -192,6 +192,14 @@ def test_what_reflects_all_light_is_refused_before_any_ray(albedo, tmp_path):
     assert not (tmp_path / "store").exists()
 
 
+def test_terms_that_cannot_be_had_are_refused_before_any_ray(scene, tmp_path):
+    """Those of pixels have one; but their bounces pass through vertices."""
+    settings = dataclasses.replace(SMALL, receivers="pixels", terms=10_000)
+    with pytest.raises(InputError, match="material 'lacquer': 10000 terms cannot be had"):
+        jr.precompute(scene, settings, tmp_path / "store")
+    assert not (tmp_path / "store").exists()
+
+
 def test_bounced_light_cannot_be_baked_again(scene, tmp_path):
     transport = opened(scene, SMALL, tmp_path)
     with pytest.raises(InputError, match="precompute again"):

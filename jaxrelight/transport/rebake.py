@@ -1,0 +1,103 @@
+"""Other rows of a precomputed scene, baked anew from its visibility: with nothing left out, or of other materials."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+
+from jaxrelight.basis import cubemap
+from jaxrelight.brdf.reflection import Reflection, of_group
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.operators.clustered import Clustered
+from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
+from jaxrelight.operators.stacked import Stacked
+from jaxrelight.operators.streamed import Streamed
+from jaxrelight.transport import bake
+from jaxrelight.transport.compression import padded_receivers
+from jaxrelight.transport.load import Transport, frames_of, streamed
+from jaxrelight.transport.settings import Settings
+
+
+def exact(transport: Transport) -> Transport:
+    """The same scene with nothing left out: rows over all texels, baked from visibility at every use.
+
+    The reference that the kept coefficients are measured against; factors stay what they are.
+    """
+    settings = transport.settings
+    _refuse_bounces(settings, "exact")
+    operators = [
+        streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
+        for block in transport.blocks
+    ]
+    return dataclasses.replace(
+        transport,
+        settings=dataclasses.replace(settings, coefficients="all"),
+        blocks=tuple(dataclasses.replace(block, dropped=None) for block in transport.blocks),
+        operator=Stacked(tuple(operators)),
+        basis=cubemap.Texels(settings.resolution),
+        kept=1.0,
+    )
+
+
+def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
+    """The same scene with another reflection for each block, on the same visibility and kept coefficients; no ray.
+
+    Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
+    derivative is that of the truncated operator, not of the choice. Clusters become rows over the coefficients that a
+    group shares, since the few rows that it shares are of the old reflection.
+
+    Raises:
+        InputError: of a transport with bounces.
+    """
+    settings = transport.settings
+    _refuse_bounces(settings, "rebake")
+    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+    operators, blocks = [], []
+    for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):
+        groups = block.groups
+        blocks.append(dataclasses.replace(block, reflection=reflection))
+        if isinstance(old, Streamed):
+            operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
+            continue
+        frames = frames_of(transport.receivers, groups)
+        kept, counts = _kept(old, len(groups), reflection.terms)
+        n = kept.shape[-1]
+        values = [
+            bake.bake_kept(
+                jnp.asarray(transport.visibility.read("bits", int(group))),
+                frames[i],
+                of_group(reflection, i),
+                directions,
+                transport.basis,
+                kept[i],
+            )
+            * (np.arange(n) < counts[i])
+            for i, group in enumerate(groups)
+        ]
+        joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
+        held = padded_receivers(len(groups) * GROUP) * reflection.terms
+        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.shape[1], held))
+    return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
+
+
+def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarray, "g m k n"], Int[np.ndarray, " g"]]:
+    """Numbers of the coefficients of every row, and how many count; zeros follow where a cluster has fewer."""
+    if isinstance(old, SparseRows):
+        n = old.indices.shape[-1]
+        kept = old.indices.reshape(-1, n)[: old.row_count].reshape(groups, GROUP, terms, n)
+        return kept, np.full(groups, n)
+    assert isinstance(old, Clustered)
+    supports = old.supports()
+    counts = np.array([len(support) for support in supports])
+    kept = np.zeros((groups, GROUP, terms, max(1, counts.max())), np.int32)
+    for group, support in enumerate(supports):
+        kept[group, ..., : len(support)] = support
+    return kept, counts
+
+
+def _refuse_bounces(settings: Settings, name: str):
+    if settings.bounces:
+        raise InputError(f"{name}: bounced light is not in the visibility that rows are baked from; precompute again")
