@@ -116,3 +116,15 @@ def test_haar_faces_pass_through_jit_as_a_static_part():
             encode(haar.HaarFaces(4), factor * x), haar.HaarFaces(4).encode(factor * x), rtol=1e-6
         )
     assert traces == [4]
+
+
+def test_levels_are_those_of_the_pyramid():
+    """What varies at one scale alone has coefficients of that level alone."""
+    n, level = 16, haar.levels(16).reshape(6, 16, 16)
+    assert level[0].tolist() == level[5].tolist()
+    np.testing.assert_array_equal(np.bincount(level[0].ravel()), [1, 3, 12, 48, 192])
+    place = np.arange(n)
+    for number in range(1, 5):
+        stripes = 1.0 - 2 * (place // (n >> number) % 2)
+        found = np.asarray(haar.forward(np.outer(stripes, np.ones(n)).astype(np.float32)))
+        assert set(level[0][np.abs(found) > 1e-6]) == {number}
