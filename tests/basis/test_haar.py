@@ -126,5 +126,5 @@ def test_levels_are_those_of_the_pyramid():
     place = np.arange(n)
     for number in range(1, 5):
         stripes = 1.0 - 2 * (place // (n >> number) % 2)
-        found = np.asarray(haar.forward(np.outer(stripes, np.ones(n)).astype(np.float32)))
+        found = np.asarray(haar.forward(jnp.asarray(np.outer(stripes, np.ones(n)), jnp.float32)))
         assert set(level[0][np.abs(found) > 1e-6]) == {number}

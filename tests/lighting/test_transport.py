@@ -10,7 +10,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Part, Relighter, Scene, Settings
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.transport.load import padded_receivers
+from jaxrelight.transport.compression import padded_receivers
 
 SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
 
