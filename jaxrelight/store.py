@@ -8,8 +8,8 @@
       factors-KEY/             of a BRDF
       texture-KEY/             pixels
       table-KEY/               a long array of a measured BRDF
-      transport-KEY/           kept coefficients, energies; with bounced light, if there is any, also of each pass
-      bounced-KEY/             the same of bounced light alone, where direct light is not compressed
+      transport-KEY/           kept coefficients of direct light, energies
+      bounced-KEY/             the same of bounced light, of each pass
         layout.json            names, shapes and types of the arrays
         000000, 000001 …       the arrays of one group of receivers each
 

@@ -17,6 +17,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
+from jaxrelight.operators.algebra import Summed
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
@@ -57,8 +58,8 @@ class Relighter:
         Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
         about the same size compiles nothing new.
         """
-        parts = zip(self.transport.operator.operators, self.transport.blocks, strict=True)
-        return tuple(_with_emitted(_terms(operator, light, block), block) for operator, block in parts)
+        each = self.transport.each
+        return tuple(_with_emitted(_terms(operator, light, block), block) for block, operator in each)
 
     def light(self, environment: Environment) -> LightTerms:
         """Light terms under an environment: what a change of light costs."""
@@ -121,6 +122,9 @@ _light_vector = jax.jit(encode)
 def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Float[Array, "v k c"]:
     """One block's light terms, compiled unless the operator reads a store as it goes."""
     receivers = padded_receivers(len(block.groups) * GROUP)
+    if isinstance(operator, Summed):
+        first, *others = (_terms(part, light, block) for part in operator.operators)
+        return sum(others, first)
     if isinstance(operator, SparseRows):
         return _compiled_terms(operator.with_filling(), light, receivers, block.reflection.terms)
     if isinstance(operator, Clustered):

@@ -64,3 +64,8 @@ class InBasis(Operator):
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows."""
         return self.basis.decode(self.operator.rows(indices))
+
+
+def parts_of(operator: Operator) -> tuple[Operator, ...]:
+    """The operators of a sum; of any other, itself."""
+    return operator.operators if isinstance(operator, Summed) else (operator,)

@@ -122,20 +122,16 @@ def bake_truncated(
     directions: Directions,
     basis: Basis,
     count: int,
-    *bounced: Float[Array, "m k c d"],
 ) -> truncation.Truncated:
-    """The `count` largest coefficients of every row; the arrays of the result lead with m, k.
+    """The `count` largest coefficients of every row; the arrays of the result lead with m, k."""
 
-    To the rows, those of `bounced` light are added, if there are any; they may have more channels.
-    """
-
-    def truncate(rows, *more):
-        rows = sum(more, _encoded(basis, rows))
+    def truncate(rows):
+        rows = _encoded(basis, rows)
         b, k, c, d = rows.shape
         kept = truncation.keep_largest(rows.reshape(b * k, c, d), count)
         return jax.tree.map(lambda x: x.reshape(b, k, *x.shape[1:]), kept)
 
-    return _joined(_map_blocks(truncate, bits, frames, reflection, directions, bounced))
+    return _joined(_map_blocks(truncate, bits, frames, reflection, directions))
 
 
 @jax.jit

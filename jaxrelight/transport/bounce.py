@@ -26,7 +26,10 @@ from jaxrelight.geometry.frame import to_local
 from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.operators.algebra import parts_of
 from jaxrelight.operators.clustered import Clustered, as_clusters, decoded_clusters
+from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake
 from jaxrelight.transport.load import Block, Transport
 
@@ -34,10 +37,9 @@ from jaxrelight.transport.load import Block, Transport
 _MOST = 2**24
 
 
-class _Source(NamedTuple):
-    """A block's clusters, in buckets, and where each group of the material is among them."""
+class _Part(NamedTuple):
+    """Clusters of a block, in buckets, and where each group of the material is among them."""
 
-    block: Block
     clusters: Clustered
     bucket_of: Int[np.ndarray, " g"]
     index_of: Int[np.ndarray, " g"]
@@ -58,6 +60,20 @@ class Hits(NamedTuple):
     points: GBuffer
 
 
+class Gathered(NamedTuple):
+    """Bounced light of one group of m receivers, by one reflection.
+
+    Attributes:
+        columns: numbers of the coefficients that any row may hold, ascending.
+        rows: over them; elsewhere they are 0.
+        emitted: light terms of what surfaces emit; None where none does.
+    """
+
+    columns: Int[np.ndarray, " n"]
+    rows: Float[np.ndarray, "m k c n"]
+    emitted: Float[np.ndarray, "m k c"] | None
+
+
 class Gather:
     """Gathers rows of light that is reflected once more than that of a transport.
 
@@ -69,7 +85,7 @@ class Gather:
     """
 
     def __init__(self, transport: Transport, key: str, resolution: int, nearest: bool = False):
-        """From a transport of vertices, whose operator is `SparseRows` or `Clustered`.
+        """From a transport of vertices, whose operators are `SparseRows`, `Clustered` or sums of them.
 
         Args:
             transport: light that leaves the vertices.
@@ -82,36 +98,41 @@ class Gather:
         self.key = store.key_of(key, resolution, nearest)
         self._transport = transport
         self._nearest = nearest
-        self._sources = [
-            _source(block, operator)
-            for block, operator in zip(transport.blocks, transport.operator.operators, strict=True)
-        ]
+        self._parts = [[_part(one, block) for one in parts_of(operator)] for block, operator in transport.each]
         closing = [_outgoing_shape(block)[-1] for block in transport.blocks]
         emitted = [len(block.emission) for block in transport.blocks if block.emission is not None]
-        self.channels = max(*closing, *emitted, *(source.clusters.channels for source in self._sources))
+        self.channels = max(*closing, *emitted, transport.operator.shape[2])
         self.emits = transport.emits
         self._directions = bake.directions_for(resolution)
 
     def rows(
-        self, receivers: Receivers, group: int, frames: Float[np.ndarray, "m 3 3"], reflection: Reflection
-    ) -> tuple[Float[np.ndarray, "m k c d"], Float[np.ndarray, "m k c"] | None]:
-        """The rows of one group of receivers, over the coefficients of the transport's light, and its light terms.
-
-        These are of light that the surfaces emit; None where none does.
-        """
+        self,
+        receivers: Receivers,
+        group: int,
+        frames: Float[np.ndarray, "m 3 3"],
+        reflections: Sequence[Reflection],
+    ) -> list[Gathered]:
+        """What one group of receivers gathers, by each of the reflections that it has."""
         hits = self.hits(receivers, group)
-        m, k, c = len(frames), reflection.terms, max(self.channels, reflection.channels)
+        m, terms = len(frames), [reflection.terms for reflection in reflections]
+        c = max(self.channels, *(reflection.channels for reflection in reflections))
         seen = np.zeros((m, len(self._directions.vectors)), bool)
         seen[hits.receiver, hits.texel] = True
         bits = jnp.asarray(np.packbits(seen, axis=1, bitorder="little"))
         texels = cubemap.Texels(self.resolution)
-        light_side = _texels_first(bake.bake_rows(bits, frames, reflection, self._directions, texels))
-        out = _Sum(self._transport.operator.shape[1], m * k * c)
+        sides = [bake.bake_rows(bits, frames, one, self._directions, texels) for one in reflections]
+        light_side = _side_by_side(sides)
+        out = _Sum(self._transport.operator.shape[1], m * sum(terms) * c)
         for support, lines in self._lines(hits, light_side, c):
             out.add(support, lines)
-        emitted = [block.emitted for block in self._transport.blocks] if self.emits else None
-        own = None if emitted is None else self.light(hits, light_side, emitted, emission=True)
-        return out.rows(m, k, c), own
+        columns, rows = out.rows()
+        ends = np.cumsum(terms)
+        by_reflection = np.split(rows.reshape(m, sum(terms), c, len(columns)), ends[:-1], axis=1)
+        emitted: Sequence[np.ndarray | None] = [None] * len(terms)
+        if self.emits:
+            own = self.light(hits, light_side, [block.emitted for block in self._transport.blocks], emission=True)
+            emitted = np.split(own, ends[:-1], axis=1)
+        return [Gathered(columns, *one) for one in zip(by_reflection, emitted, strict=True)]
 
     def light(
         self,
@@ -129,15 +150,15 @@ class Gather:
             emission: add what surfaces emit.
         """
         seen = np.zeros((*light_side.shape[:2], self.channels), np.float32)
-        for source, mine, slots, weights, closing in self._closings(hits):
+        for number, mine, slots, weights, closing in self._closings(hits):
             place = hits.texel[mine], hits.receiver[mine]
-            own = terms[self._sources.index(source)]
+            own, radiance = terms[number], self._transport.blocks[number].emission
             if own is not None:
                 corners = np.einsum("hv,hvkc->hkc", weights, np.asarray(own)[slots])
                 seen[place] += np.sum(corners * np.asarray(closing)[: len(mine)], axis=1)
-            if emission and source.block.emission is not None:
+            if emission and radiance is not None:
                 front = np.sum(hits.points.normals[mine] * hits.points.omega_o[mine], axis=1) > 0
-                seen[place] += front[:, None] * source.block.emission
+                seen[place] += front[:, None] * radiance
         return np.asarray(_received(light_side, seen))
 
     def hits(self, receivers: Receivers, group: int) -> Hits:
@@ -153,7 +174,7 @@ class Gather:
         return Hits(receiver[points.covered], texel[points.covered], points)
 
     def _closings(self, hits: Hits):
-        """Of each block that is hit: which hits, their corners among its receivers, their weights and view sides."""
+        """Of each block that is hit: its number, which hits, their corners in its groups, weights and view sides."""
         points, transport = hits.points, self._transport
         corners = np.where(points.back[:, None], transport.surfaces.back[points.corners], points.corners)
         weights = points.barycentric
@@ -162,8 +183,8 @@ class Gather:
             corners, weights = np.take_along_axis(corners, chosen, axis=1), np.ones((len(corners), 1))
         slots = transport.receivers.slot_of[corners]
         material = transport.receivers.material_of_group[slots[:, 0] // GROUP]
-        for source in self._sources:
-            groups = source.block.groups
+        for number, block in enumerate(transport.blocks):
+            groups = block.groups
             mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
             if not len(mine):
                 continue
@@ -171,41 +192,51 @@ class Gather:
             directions = points.normals, points.tangents, points.omega_o
             local = _local(*(filled_up(rows[mine], length) for rows in directions))
             uv, footprint = filled_up(points.uv[mine], length), filled_up(points.footprint[mine], length)
-            closing = _outgoing(source.block.reflection, source.block.weight, local, uv, footprint)
-            yield source, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
+            closing = _outgoing(block.reflection, block.weight, local, uv, footprint)
+            yield number, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
 
     def _lines(self, hits: Hits, light_side: Float[Array, "f m k c"], channels: int):
         """What is seen of each group of vertices: its coefficients, and a line for each of them."""
-        for source, mine, slots, weights, closing in self._closings(hits):
+        for number, mine, slots, weights, closing in self._closings(hits):
             hit = np.repeat(np.arange(len(mine)), slots.shape[1])
-            group, vertex = np.divmod(slots.reshape(-1), GROUP)
-            # Entries of a group one after the other, groups of a bucket too.
-            order = np.lexsort((group, source.bucket_of[group]))
-            starts = np.flatnonzero(np.diff(group[order], prepend=-1))
-            ends, seen = np.append(starts[1:], len(order)), group[order][starts]
-            of_a_group = GROUP * light_side.shape[1] * light_side.shape[2] * closing.shape[1] * channels
-            most = 1 << max(1, _MOST // of_a_group).bit_length() - 1
-            for number, part in enumerate(source.clusters.buckets):
-                for some in _parts(np.flatnonzero(source.bucket_of[seen] == number), most):
-                    chosen = order[starts[some[0]] : ends[some[-1]]]
-                    entries, wide = _power_of_two(len(chosen)), _power_of_two(len(some), 1)
-                    place = np.repeat(np.arange(len(some)), ends[some] - starts[some])
-                    columns = (
-                        hits.receiver[mine][hit[chosen]],
-                        hits.texel[mine][hit[chosen]],
-                        hit[chosen],
-                        weights.reshape(-1)[chosen],
-                        place * GROUP + vertex[chosen],
-                    )
-                    matrix = _seen(light_side, closing, *(filled_up(x, entries) for x in columns), wide, channels)
-                    index = filled_up(source.index_of[seen[some]], wide)
-                    lines = np.asarray(_mixed(matrix, part.basis, part.weights, index))
-                    for group_seen, found in zip(seen[some], lines, strict=False):
-                        support = source.supports[group_seen]
-                        yield support, found[: len(support)]
+            entries = hits.receiver[mine][hit], hits.texel[mine][hit], hit, weights.reshape(-1)
+            for part in self._parts[number]:
+                yield from _lines_of(part, entries, slots.reshape(-1), light_side, closing, channels)
 
 
-def _parts(array: np.ndarray, most: int):
+def _lines_of(part: _Part, entries, slots: Int[np.ndarray, " e"], light_side, closing, channels: int):
+    """`Gather._lines` of some clusters.
+
+    Args:
+        part: the clusters.
+        entries: of every hit and corner: receiver, texel, hit and weight.
+        slots: of the vertices there, among the clusters' groups.
+        light_side: of the receivers, over the texels.
+        closing: view sides of the hits.
+        channels: of the lines.
+    """
+    group, vertex = np.divmod(slots, GROUP)
+    # Entries of a group one after the other, groups of a bucket too.
+    order = np.lexsort((group, part.bucket_of[group]))
+    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
+    ends, seen = np.append(starts[1:], len(order)), group[order][starts]
+    of_a_group = GROUP * light_side.shape[1] * light_side.shape[2] * closing.shape[1] * channels
+    most = 1 << max(1, _MOST // of_a_group).bit_length() - 1
+    for number, bucket in enumerate(part.clusters.buckets):
+        for some in _runs(np.flatnonzero(part.bucket_of[seen] == number), most):
+            chosen = order[starts[some[0]] : ends[some[-1]]]
+            length, wide = _power_of_two(len(chosen)), _power_of_two(len(some), 1)
+            place = np.repeat(np.arange(len(some)), ends[some] - starts[some])
+            columns = *(values[chosen] for values in entries), place * GROUP + vertex[chosen]
+            matrix = _seen(light_side, closing, *(filled_up(x, length) for x in columns), wide, channels)
+            index = filled_up(part.index_of[seen[some]], wide)
+            lines = np.asarray(_mixed(matrix, bucket.basis, bucket.weights, index))
+            for group_seen, found in zip(seen[some], lines, strict=False):
+                support = part.supports[group_seen]
+                yield support, found[: len(support)]
+
+
+def _runs(array: np.ndarray, most: int):
     """Runs of at most so many."""
     return (array[start : start + most] for start in range(0, len(array), most))
 
@@ -231,23 +262,25 @@ class _Sum:
             self._rows = np.pad(self._rows, ((0, more), (0, 0)))
         self._rows[self._place[support]] += rows
 
-    def rows(self, m: int, k: int, c: int) -> Float[np.ndarray, "m k c d"]:
-        """The sum, as rows over all coefficients."""
-        out = np.zeros((m * k * c, len(self._place)), np.float32)
-        if self._count:
-            out[:, np.concatenate(self._columns)] = self._rows[: self._count].T
-        return out.reshape(m, k, c, -1)
+    def rows(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "w n"]]:
+        """The coefficients that were met, ascending, and the sum over them."""
+        columns = np.concatenate([np.zeros(0, int), *self._columns])
+        order = np.argsort(columns)
+        return columns[order], self._rows[order].T
 
 
-def _source(block: Block, operator) -> _Source:
-    group_rows = GROUP * block.reflection.terms
-    clusters = decoded_clusters(operator) if isinstance(operator, Clustered) else as_clusters(operator, group_rows)
+def _part(operator: Operator, block: Block) -> _Part:
+    if isinstance(operator, SparseRows):
+        clusters = as_clusters(operator, GROUP * block.reflection.terms)
+    else:
+        assert isinstance(operator, Clustered)
+        clusters = decoded_clusters(operator)
     bucket_of = np.full(len(block.groups), -1)
     index_of = np.zeros(len(block.groups), np.int32)
-    for number, part in enumerate(clusters.buckets):
-        groups = np.asarray(part.groups)
+    for number, bucket in enumerate(clusters.buckets):
+        groups = np.asarray(bucket.groups)
         bucket_of[groups], index_of[groups] = number, np.arange(len(groups))
-    return _Source(block, clusters, bucket_of, index_of, clusters.supports())
+    return _Part(clusters, bucket_of, index_of, clusters.supports())
 
 
 def _outgoing_shape(block: Block):
@@ -265,8 +298,11 @@ _outgoing = jax.jit(outgoing)
 
 
 @jax.jit
-def _texels_first(rows: Float[Array, "m k c f"]) -> Float[Array, "f m k c"]:
-    return jnp.moveaxis(rows, -1, 0)
+def _side_by_side(sides: list[Float[Array, "m _ _ f"]]) -> Float[Array, "f m k c"]:
+    """Texels first, terms of all reflections one after the other."""
+    channels = max(side.shape[2] for side in sides)
+    wide = [jnp.broadcast_to(side, (*side.shape[:2], channels, side.shape[3])) for side in sides]
+    return jnp.moveaxis(jnp.concatenate(wide, axis=1), -1, 0)
 
 
 @jax.jit
@@ -336,7 +372,7 @@ def _lit(transport: Transport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarra
     white = transport.basis.encode(jnp.ones(transport.operator.shape[1]))
     along = jnp.asarray([[0.0, 0.0, 1.0]])
     reflected, emitted = [], []
-    for block, operator in zip(transport.blocks, transport.operator.operators, strict=True):
+    for block, operator in transport.each:
         closing = np.asarray(_outgoing(block.reflection, block.weight, along, jnp.zeros((1, 2)), jnp.ones(1)))
         channels = max(operator.shape[2], closing.shape[-1])
         terms = _applied(operator, jnp.broadcast_to(white[:, None], (len(white), channels)))

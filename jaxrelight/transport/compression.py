@@ -3,9 +3,8 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis.haar import HaarFaces
@@ -22,8 +21,6 @@ from jaxrelight.transport.settings import Settings
 
 # Neighbours in a row that share a scale, where rows are codes: as many bytes as one for each level, and nearer.
 _RUN = 16
-# Rows of bounced light of a group, over the coefficients of light; None where there are none.
-Bounced = Float[np.ndarray, "m k c d"] | None
 
 
 class Opened(NamedTuple):
@@ -35,9 +32,8 @@ class Opened(NamedTuple):
 
 
 def compression(settings: Settings) -> "Rows | Clusters":
-    """What the settings ask for: where nothing of direct light is compressed, what clusters keep of bounced light."""
-    clusters = settings.operator == "clusters" or settings.coefficients == "all"
-    return Clusters(settings) if clusters else Rows(settings)
+    """What the settings ask for, of direct light."""
+    return Clusters(settings) if settings.operator == "clusters" else Rows(settings)
 
 
 def padded_receivers(count: int) -> int:
@@ -69,10 +65,9 @@ class Rows:
             **_energies(terms, channels),
         }
 
-    def compress(self, bits, frames, reflection: Reflection, bounced: Bounced = None) -> dict[str, np.ndarray]:
-        """Of the sum of direct and bounced light."""
-        more = () if bounced is None else (jnp.asarray(bounced),)
-        kept = bake.bake_truncated(bits, frames, reflection, self._directions, self._basis, self._count, *more)
+    def compress(self, bits, frames, reflection: Reflection) -> dict[str, np.ndarray]:
+        """Of direct light."""
+        kept = bake.bake_truncated(bits, frames, reflection, self._directions, self._basis, self._count)
         values = np.asarray(kept.values)
         coded = _coded("values", values, self._bits, _RUN)
         lost = np.square(values - _decoded("values", coded, _RUN)).sum(axis=-1)
@@ -85,7 +80,7 @@ class Rows:
 
     def open(self, layer: store.Layer) -> Opened:
         """Row-sparse; of padded length, so that few shapes are compiled."""
-        arrays = layer.read_all([name for name in layer.arrays if name != "emitted"])
+        arrays = layer.read_all()
         indices, values = arrays["indices"], arrays["values"]
         _check(layer, indices, self._columns)
         g, m, k, c, n = values.shape
@@ -122,18 +117,17 @@ class Clusters:
             **_energies(terms, channels),
         }
 
-    def compress(self, bits, frames, reflection: Reflection, bounced: Bounced = None) -> dict[str, np.ndarray]:
-        """Of the sum of direct and bounced light, which is written over `bounced`."""
+    def compress(self, bits, frames, reflection: Reflection) -> dict[str, np.ndarray]:
+        """Of direct light."""
         rows = np.asarray(bake.bake_rows(bits, frames, reflection, self._directions, self._basis))
-        if bounced is not None:
-            # In place: each is the largest array that there is.
-            bounced += rows
-        return self.compress_rows(rows if bounced is None else bounced)
+        return self.compress_rows(rows, np.arange(self._columns))
 
-    def compress_rows(self, rows: Float[np.ndarray, "m k c d"]) -> dict[str, np.ndarray]:
-        """Of rows that are written out."""
-        m, k, c, d = rows.shape
-        found, dropped = cluster(rows.reshape(m * k, c, d), self._spectrum, self._tolerance)
+    def compress_rows(
+        self, rows: Float[np.ndarray, "m k c n"], columns: Int[np.ndarray, " n"]
+    ) -> dict[str, np.ndarray]:
+        """Of rows that are written out over some coefficients, and 0 elsewhere."""
+        m, k, c, n = rows.shape
+        found, dropped = cluster(rows.reshape(m * k, c, n), self._spectrum[columns], self._tolerance)
         coded = _coded("basis", np.ascontiguousarray(found.basis.T), self._bits)
         coded |= _coded("weights", found.weights, self._bits)
         if self._bits < 32:
@@ -141,7 +135,7 @@ class Clusters:
             lost = _mixed(found.weights, found.basis.T) - _mixed(weights, basis)
             dropped = dropped + np.square(lost).sum(axis=-1)
         return {
-            "support": found.support.astype(smallest_index_type(self._columns)),
+            "support": columns[found.support].astype(smallest_index_type(self._columns)),
             **coded,
             "dropped": dropped.reshape(m, k, c),
             "total": np.einsum("mkcd,mkcd->mkc", rows, rows),

@@ -9,7 +9,7 @@ import os
 import pathlib
 import random
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -115,7 +115,6 @@ def make_layers(
         rays = _trace_groups(visibility, receivers, tracer, directions, report)
 
     materials, notes = [], []
-    kept = compression(settings)
     stage = f"bounce {settings.bounces}" if gather else "transport"
     with _timed(seconds, stage):
         frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
@@ -128,6 +127,7 @@ def make_layers(
             if settings.receivers == "vertices":
                 material = without_diffuse(material)
             bump = _write_texture(folder, material.normal_map) if material.normal_map else None
+            mine: list[tuple[Reflection, dict]] = []
             for component in material.components:
                 brdf = component.brdf
                 described = to_record(brdf, functools.partial(_write_table, folder))
@@ -143,19 +143,22 @@ def make_layers(
                 record["normal_map"] = bump
                 if material.emission is not None and component is material.components[0]:
                     record["emission"] = material.emission.tolist()
-                if gather or settings.coefficients != "all":
-                    # The name of the factors tells their number and their resolution.
-                    own = isinstance(brdf, SpatialLobes) and settings.receivers == "pixels"
-                    more = [store.key_of(surfaces.uv, footprint)] if own else []
-                    more += [gather.key] if gather else []
-                    key = store.key_of(visibility_key, number, described, factors, kept.dial, frames_key, *more)
-                    kind = "bounced" if settings.coefficients == "all" else "transport"
-                    bakes = _Bakes(visibility, receivers, groups, reflection, kept, gather, kind == "transport")
-                    layer = store.make_layer(folder / f"{kind}-{key}", bakes.layout, len(groups))
-                    told = f"{stage} on {name}" if gather else f"transport of {name}"
-                    bakes.complete(layer, functools.partial(report, told))
-                    record[kind] = layer.folder.name
-                materials.append(record)
+                more = []
+                if isinstance(brdf, SpatialLobes) and settings.receivers == "pixels":
+                    more.append(store.key_of(surfaces.uv, footprint))
+                # The name of the factors tells their number and their resolution.
+                key = functools.partial(store.key_of, visibility_key, number, described, factors, frames_key, *more)
+                if settings.coefficients != "all":
+                    record["transport"] = f"transport-{key(compression(settings).dial)}"
+                if gather:
+                    record["bounced"] = f"bounced-{key(Clusters(settings).dial, gather.key)}"
+                mine.append((reflection, record))
+            baked = _Baked(folder, visibility, receivers, groups, mine)
+            if settings.coefficients != "all":
+                baked.direct(compression(settings), functools.partial(report, f"transport of {name}"))
+            if gather:
+                baked.bounced(Clusters(settings), gather, functools.partial(report, f"{stage} on {name}"))
+            materials += [record for _, record in mine]
 
     header = {
         "jaxrelight": importlib.metadata.version("jaxrelight"),
@@ -287,23 +290,29 @@ def _factors(
     return factors, path.name, None
 
 
-def _complete(layer: store.Layer, filled: np.ndarray, make: Callable[[int], None], report: Callable[[int, int], None]):
-    """Runs make(group), which writes it, for all missing groups of a layer, on all cores; stops at the first error.
+def _complete(
+    layers: Sequence[store.Layer],
+    filled: np.ndarray,
+    make: Callable[[int], None],
+    report: Callable[[int, int], None],
+):
+    """Runs make(group), which writes it, for all groups that a layer lacks, on all cores; stops at the first error.
 
     `filled` counts the receivers of each group.
     """
 
     def tell():
-        report(int(filled[list(layer.done)].sum()), int(filled.sum()))
+        done = list(set[int].intersection(*(layer.done for layer in layers)))
+        report(int(filled[done].sum()), int(filled.sum()))
 
-    missing = layer.missing
+    missing = sorted({group for layer in layers for group in layer.missing})
     if missing:
         tell()
     # Another process may be at the same layer: in another order, so that they share the work.
     random.Random(os.getpid()).shuffle(missing)
 
     def make_if_missing(group: int):
-        if not layer.has(group):
+        if not all(layer.has(group) for layer in layers):
             make(group)
 
     # Groups are what runs at once: threads of their linear algebra would only wait for each other.
@@ -328,60 +337,59 @@ def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, dire
         layer.write(group, bits=bits)
         rays.append(count)
 
-    _complete(layer, receivers.filled, trace, functools.partial(report, "visibility"))
+    _complete([layer], receivers.filled, trace, functools.partial(report, "visibility"))
     return sum(rays)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Bakes:
-    """How the rows of the groups of one BRDF are made.
+class _Baked:
+    """The rows of the groups of one material.
 
     Attributes:
+        folder: the store.
         visibility: of all receivers.
         receivers: all of them.
         groups: those of the material.
-        reflection: theirs.
-        kept: what is kept of rows.
-        gather: of bounced light, if there is any.
-        direct: whether direct light belongs to the rows.
+        each: the reflections of its BRDFs, and the records that name their layers.
     """
 
+    folder: pathlib.Path
     visibility: store.Layer
     receivers: Receivers
     groups: np.ndarray
-    reflection: Reflection
-    kept: Rows | Clusters
-    gather: Gather | None
-    direct: bool
+    each: list[tuple[Reflection, dict]]
 
-    @property
-    def layout(self):
-        """Of a layer of them."""
-        terms, channels = self.reflection.terms, self.reflection.channels
-        if self.gather is None:
-            return self.kept.layout(terms, channels)
-        channels = max(channels, self.gather.channels)
-        emitted = {"emitted": ((GROUP, terms, channels), np.dtype(np.float32))} if self.gather.emits else {}
-        return self.kept.layout(terms, channels) | emitted
+    def direct(self, kept: Rows | Clusters, report: Callable[[int, int], None]):
+        """Completes the layers of direct light."""
+        for reflection, record in self.each:
+            layout = kept.layout(reflection.terms, reflection.channels)
+            layer = store.make_layer(self.folder / record["transport"], layout, len(self.groups))
 
-    def complete(self, layer: store.Layer, report: Callable[[int, int], None]):
-        """Makes what is missing."""
-        if not layer.missing:
-            return
-        frames = frames_of(self.receivers, self.groups)
+            def make(i: int, frames, layer=layer, reflection=reflection):
+                bits = jnp.asarray(self.visibility.read("bits", int(self.groups[i])))
+                layer.write(i, **kept.compress(bits, frames, of_group(reflection, i)))
 
-        def make(i: int):
-            group, reflection = int(self.groups[i]), of_group(self.reflection, i)
-            bounced, more = None, {}
-            if self.gather:
-                bounced, emitted = self.gather.rows(self.receivers, group, frames[i], reflection)
-                more = {} if emitted is None else {"emitted": emitted}
-            if self.direct:
-                bits = jnp.asarray(self.visibility.read("bits", group))
-                layer.write(i, **self.kept.compress(bits, frames[i], reflection, bounced), **more)
-            else:
-                assert isinstance(self.kept, Clusters)
-                assert bounced is not None
-                layer.write(i, **self.kept.compress_rows(bounced), **more)
+            self._complete([layer], make, report)
 
-        _complete(layer, self.receivers.filled[self.groups], make, report)
+    def bounced(self, kept: Clusters, gather: Gather, report: Callable[[int, int], None]):
+        """Completes the layers of bounced light, all at once: receivers look around once for all that they reflect."""
+        channels, layers = max(gather.channels, *(one.channels for one, _ in self.each)), []
+        for reflection, record in self.each:
+            layout = kept.layout(reflection.terms, channels)
+            if gather.emits:
+                layout["emitted"] = (GROUP, reflection.terms, channels), np.dtype(np.float32)
+            layers.append(store.make_layer(self.folder / record["bounced"], layout, len(self.groups)))
+
+        def make(i: int, frames):
+            mine = [of_group(reflection, i) for reflection, _ in self.each]
+            found = gather.rows(self.receivers, int(self.groups[i]), frames, mine)
+            for layer, one in zip(layers, found, strict=True):
+                more = {} if one.emitted is None else {"emitted": one.emitted}
+                layer.write(i, **kept.compress_rows(one.rows, one.columns), **more)
+
+        self._complete(layers, make, report)
+
+    def _complete(self, layers: Sequence[store.Layer], make, report: Callable[[int, int], None]):
+        if any(layer.missing for layer in layers):
+            frames = frames_of(self.receivers, self.groups)
+            _complete(layers, self.receivers.filled[self.groups], lambda i: make(i, frames[i]), report)

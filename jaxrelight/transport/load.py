@@ -29,11 +29,11 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
 from jaxrelight.operators.algebra import InBasis, Summed
-from jaxrelight.operators.contract import Basis
+from jaxrelight.operators.contract import Basis, Operator
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
-from jaxrelight.transport.compression import compression
+from jaxrelight.transport.compression import Clusters, compression
 from jaxrelight.transport.normal_maps import NormalMaps, at_vertices, see
 from jaxrelight.transport.settings import Settings
 
@@ -48,7 +48,7 @@ class Block:
         weight: the factor on it over the surface.
         reflection: of the BRDF; arrays that each receiver has for itself lead with groups and receivers.
         groups: of the material's receivers.
-        dropped: energy left out of every row by channel; None where nothing is.
+        dropped: energy left out of every row by channel, of direct and of bounced light; None where nothing is.
         emission: radiance that the material emits; of its first block alone, None for the others.
         emitted: light terms of what other surfaces emit, by way of bounces; None where there is none.
     """
@@ -102,6 +102,11 @@ class Transport:
     scale: float
     folder: pathlib.Path
     visibility: store.Layer
+
+    @property
+    def each(self) -> list[tuple[Block, Operator]]:
+        """Every block and the operator of its rows: where light bounces, the sum of direct and of bounced light."""
+        return list(zip(self.blocks, self.operator.operators, strict=True))
 
     @property
     def emits(self) -> bool:
@@ -180,28 +185,29 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
             reflection = read(store.open_layer(folder / record["factors"]))
         else:
             reflection = fixed_view(brdf, receivers, groups)
-        dropped = None
-        name = "bounced" if settings.coefficients == "all" else "transport"
-        layer = _whole_layer(folder / record[name]) if name in record else None
-        if layer and layer.groups != len(groups):
-            raise InputError(f"{layer.folder}: geometry and transport do not belong together; precompute again")
-        opened = compression(settings).open(layer) if layer else None
+        dropped, emitted = None, None
         if settings.coefficients == "all":
             operator = streamed(settings, visibility, receivers, groups, reflection)
-            if opened:
-                operator = Summed((operator, InBasis(opened.operator, HaarFaces(settings.resolution))))
-            operators.append(operator)
         else:
-            assert opened is not None
-            operators.append(opened.operator)
-            dropped = opened.dropped
-            total += float(opened.total.sum(dtype=float)) * 3 / dropped.shape[1]
+            direct = compression(settings).open(_layer_of(folder / record["transport"], groups))
+            operator, dropped = direct.operator, direct.dropped
+            total += float(direct.total.sum(dtype=float)) * 3 / dropped.shape[1]
+        if settings.bounces:
+            layer = _layer_of(folder / record["bounced"], groups)
+            bounced = Clusters(settings).open(layer)
+            if dropped is None:
+                operator = Summed((operator, InBasis(bounced.operator, HaarFaces(settings.resolution))))
+            else:
+                operator = Summed((operator, bounced.operator))
+                # What a row leaves out is a sum of two: no longer than both.
+                dropped = np.square(np.sqrt(dropped) + np.sqrt(bounced.dropped))
+                total += float(bounced.total.sum(dtype=float)) * 3 / bounced.total.shape[1]
+            if "emitted" in layer.arrays:
+                emitted = layer.read("emitted")
+                emitted = emitted.reshape(-1, *emitted.shape[2:])
+        operators.append(operator)
         weight = tuple(read_texture(folder, entry) for entry in record["weight"])
         emission = np.asarray(record["emission"], np.float32) if record.get("emission") else None
-        emitted = None
-        if layer and "emitted" in layer.arrays:
-            emitted = layer.read("emitted")
-            emitted = emitted.reshape(-1, *emitted.shape[2:])
         blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped, emission, emitted))
     dropped = [block.dropped for block in blocks if block.dropped is not None]
     left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
@@ -235,6 +241,14 @@ def _placed(folder: pathlib.Path, header: dict, camera: Camera, settings: Settin
     material_of_mesh = np.array(header["material_of_mesh"])
     receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
     return Placed(surfaces, normal_maps, tracer, receivers, seen)
+
+
+def _layer_of(folder: pathlib.Path, groups: Int[np.ndarray, " g"]) -> store.Layer:
+    """A layer of some groups' rows."""
+    layer = _whole_layer(folder)
+    if layer.groups != len(groups):
+        raise InputError(f"{folder}: geometry and transport do not belong together; precompute again")
+    return layer
 
 
 def _whole_layer(folder: pathlib.Path) -> store.Layer:

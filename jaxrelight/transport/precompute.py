@@ -51,8 +51,8 @@ def precompute(
     Layers that exist are reused: a changed material bakes its own groups again, from stored visibility; only a changed
     mesh, or camera where receivers are pixels, is traced again. A run that was stopped goes on where it was.
 
-    With bounces, rows of every pass are those of direct light and what is gathered from the rows of the pass before
-    (Wang 2006 §3.2), which are of vertices, whatever the receivers of the last pass are.
+    With bounces, every pass gathers from the rows of direct light and of the bounces before (Wang 2006 §3.2), which are
+    of vertices, whatever the receivers of the last pass are. What it gathers is kept in clusters, beside direct light.
 
     Args:
         scene: what to precompute; its environment is stored as the default light.
@@ -107,7 +107,9 @@ def _of_pass(settings: Settings, bounces: int) -> Settings:
 
 def _layers(made: Made) -> list[str]:
     """The layers that a pass has of its own."""
-    own = [name for name in store.layers_of(made.header) if name.partition("-")[0] in ("factors", "transport")]
+    own = [
+        name for name in store.layers_of(made.header) if name.partition("-")[0] in ("factors", "transport", "bounced")
+    ]
     return sorted({made.header["visibility"], *own})
 
 

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from jaxrelight.basis import cubemap
+from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.operators.algebra import InBasis, Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
@@ -18,20 +20,20 @@ from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.load import Transport, frames_of, streamed
-from jaxrelight.transport.settings import Settings
 
 
 def exact(transport: Transport) -> Transport:
-    """The same scene with nothing left out: rows over all texels, baked from visibility at every use.
+    """The same scene with nothing of direct light left out: rows over all texels, baked from visibility at every use.
 
-    The reference that the kept coefficients are measured against; factors stay what they are.
+    The reference that the kept coefficients are measured against; factors and bounced light stay what they are.
     """
-    settings = transport.settings
-    _refuse_bounces(settings, "exact")
-    operators = [
-        streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
-        for block in transport.blocks
-    ]
+    settings, operators = transport.settings, []
+    for block, old in transport.each:
+        direct = streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
+        bounced = parts_of(old)[1:]
+        if settings.coefficients != "all":
+            bounced = [InBasis(one, HaarFaces(settings.resolution)) for one in bounced]
+        operators.append(Summed((direct, *bounced)) if bounced else direct)
     return dataclasses.replace(
         transport,
         settings=dataclasses.replace(settings, coefficients="all"),
@@ -53,7 +55,8 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         InputError: of a transport with bounces.
     """
     settings = transport.settings
-    _refuse_bounces(settings, "rebake")
+    if settings.bounces:
+        raise InputError("rebake: bounced light is not in the visibility that rows are baked from; precompute again")
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
     operators, blocks = [], []
     for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):
@@ -96,8 +99,3 @@ def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarra
     for group, support in enumerate(supports):
         kept[group, ..., : len(support)] = support
     return kept, counts
-
-
-def _refuse_bounces(settings: Settings, name: str):
-    if settings.bounces:
-        raise InputError(f"{name}: bounced light is not in the visibility that rows are baked from; precompute again")

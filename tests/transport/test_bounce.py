@@ -154,9 +154,10 @@ def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, opera
     terms = [np.asarray(part) for part in Relighter(transport).terms(jnp.asarray(light))]
     for block in transport.blocks:
         frames, group = frames_of(transport.receivers, block.groups), int(block.groups[0])
-        rows, emitted = gather.rows(transport.receivers, group, frames[0], of_group(block.reflection, 0))
-        assert emitted is None
-        assert rows.shape == (128, block.reflection.terms, 3, 6 * 8**2)
+        (found,) = gather.rows(transport.receivers, group, frames[0], [of_group(block.reflection, 0)])
+        assert found.emitted is None
+        assert found.rows.shape == (128, block.reflection.terms, 3, len(found.columns))
+        assert (np.diff(found.columns) > 0).all()
         hits = gather.hits(transport.receivers, group)
         seen = np.zeros((128, 6 * 8**2), bool)
         seen[hits.receiver, hits.texel] = True
@@ -164,7 +165,19 @@ def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, opera
         side = bake.bake_rows(bits, frames[0], block.reflection, bake.directions_for(8), cubemap.Texels(8))
         gathered = gather.light(hits, jnp.moveaxis(side, -1, 0), terms)
         assert np.abs(gathered).max() > 0.01
-        assert relative(np.einsum("mkcd,dc->mkc", rows, light), gathered) < 2e-3
+        assert relative(np.einsum("mkcn,nc->mkc", found.rows, light[found.columns]), gathered) < 2e-3
+
+
+def test_reflections_gather_together_what_each_gathers(scene, direct):
+    """Receivers look around once for all that they reflect."""
+    gather, (one, other, *_) = bounce.Gather(direct, "key", 8), direct.blocks
+    frames, group = frames_of(direct.receivers, one.groups)[0], int(one.groups[0])
+    reflections = [of_group(block.reflection, 0) for block in (one, other)]
+    both = gather.rows(direct.receivers, group, frames, reflections)
+    for found, reflection in zip(both, reflections, strict=True):
+        (alone,) = gather.rows(direct.receivers, group, frames, [reflection])
+        np.testing.assert_array_equal(found.columns, alone.columns)
+        np.testing.assert_allclose(found.rows, alone.rows, rtol=1e-5, atol=1e-6)
 
 
 def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_path):
@@ -172,10 +185,11 @@ def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_p
     gather = bounce.Gather(direct, "key", 8)
     block, before, after = transport.blocks[0], direct.operator.operators[0], transport.operator.operators[0]
     frames = frames_of(direct.receivers, block.groups)
-    rows, _ = gather.rows(direct.receivers, int(block.groups[0]), frames[0], of_group(block.reflection, 0))
-    chosen = jnp.arange(0, 128 * block.reflection.terms, 17)
-    wanted = np.asarray(before.rows(chosen)) + rows.reshape(-1, *rows.shape[2:])[chosen]
-    assert relative(after.rows(chosen), wanted) < 1e-5
+    (found,) = gather.rows(direct.receivers, int(block.groups[0]), frames[0], [of_group(block.reflection, 0)])
+    chosen = np.arange(0, 128 * block.reflection.terms, 17)
+    wanted = np.array(np.broadcast_to(before.rows(jnp.asarray(chosen)), (len(chosen), 3, 6 * 8**2)))
+    wanted[..., found.columns] += found.rows.reshape(-1, *found.rows.shape[2:])[chosen]
+    assert relative(after.rows(jnp.asarray(chosen)), wanted) < 1e-5
 
 
 def test_an_even_sky_grows_no_brighter_than_albedo_allows(scene, direct, tmp_path):
@@ -238,5 +252,15 @@ def test_bounced_light_cannot_be_baked_again(scene, tmp_path):
     transport = opened(scene, SMALL, tmp_path)
     with pytest.raises(InputError, match="precompute again"):
         jr.rebake(transport, transport.reflections)
-    with pytest.raises(InputError, match="precompute again"):
-        jr.exact(transport)
+
+
+def test_exact_direct_light_keeps_bounced_light(scene, direct, tmp_path):
+    """What is not compressed is the streamed rows; what was gathered stays beside them."""
+    pictures = []
+    for transport in (direct, opened(scene, SMALL, tmp_path)):
+        assert scene.environment is not None
+        for each in (transport, jr.exact(transport)):
+            relighter = Relighter(each)
+            pictures.append(relighter.image(scene.environment, relighter.view(), background=False)[..., :3])
+    assert relative(pictures[2], pictures[0]) > 0.01
+    np.testing.assert_allclose(pictures[3] - pictures[1], pictures[2] - pictures[0], atol=1e-4)

@@ -198,7 +198,7 @@ def test_renamed_material_keeps_its_layers(scene, copy):
 def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, traced: bool, new: set):
     """A key that left out a setting would give the layer of another."""
     # Which layers are asked for shows without baking them.
-    monkeypatch.setattr(stages._Bakes, "complete", lambda *_: None)
+    monkeypatch.setattr(stages._Baked, "_complete", lambda *_: None)
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
     materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
     scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
