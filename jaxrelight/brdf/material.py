@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.texture import Texture, Weight
+from jaxrelight.brdf.texture import Texture, Weight, constant
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +67,40 @@ def white_phong(exponent) -> LobeSum:
     n = jnp.atleast_1d(jnp.asarray(exponent, jnp.float32))
     C = jnp.broadcast_to(jnp.asarray([-1.0, -1.0, 1.0]), (1, len(n), 3))
     return LobeSum(jnp.zeros(len(n)), C, n[None], ((n + 2) / (2 * jnp.pi))[None])
+
+
+def in_grey(material: Material) -> Material:
+    """The same material, with lobes that are the same in all channels but for a tint as grey ones, times the tint.
+
+    What they add to is a component of its own then: white, times the albedo. Transport of such parts has one channel.
+    """
+    parts = []
+    for component in material.components:
+        brdf = component.brdf
+        tint = _tint(brdf) if isinstance(brdf, LobeSum) else None
+        if tint is None:
+            parts.append(component)
+            continue
+        assert isinstance(brdf, LobeSum)
+        if np.any(np.asarray(brdf.diffuse)):
+            parts.append(Component(white_lambert(), (constant(brdf.diffuse), *component.weight)))
+        strongest = int(np.argmax(np.abs(tint)))
+        scale = brdf.scale[:, strongest, None] / tint[strongest]
+        grey = LobeSum(jnp.zeros(1, brdf.scale.dtype), brdf.C, brdf.exponent, scale, brdf.turn)
+        parts.append(Component(grey, (constant(tint), *component.weight)))
+    return dataclasses.replace(material, components=tuple(parts))
+
+
+def _tint(brdf: LobeSum) -> Float[np.ndarray, " c"] | None:
+    """What the lobes' scales by channel are all multiples of; None where there are no lobes or nothing is."""
+    scale = np.asarray(brdf.scale, float)
+    if brdf.C.shape[-2] > 1 or scale.shape[-1] == 1 or not scale.any():
+        return None
+    tint = scale[np.argmax(np.abs(scale).sum(axis=1))]
+    # Lobe by lobe, across the channels: rank one.
+    along = scale @ tint / (tint @ tint)
+    same = np.abs(scale - along[:, None] * tint).max() <= 1e-6 * np.abs(scale).max()
+    return tint if same else None
 
 
 def textured_lambert(albedo: Texture) -> Material:

@@ -111,11 +111,20 @@ class Gather:
         group: int,
         frames: Float[np.ndarray, "m 3 3"],
         reflections: Sequence[Reflection],
+        channels: int | None = None,
     ) -> list[Gathered]:
-        """What one group of receivers gathers, by each of the reflections that it has."""
+        """What one group of receivers gathers, by each of the reflections that it has.
+
+        Args:
+            receivers: all of them.
+            group: which one.
+            frames: of its receivers.
+            reflections: theirs.
+            channels: of the rows; by default no more than there need be.
+        """
         hits = self.hits(receivers, group)
         m, terms = len(frames), [reflection.terms for reflection in reflections]
-        c = max(self.channels, *(reflection.channels for reflection in reflections))
+        c = channels or max(self.channels, *(reflection.channels for reflection in reflections))
         seen = np.zeros((m, len(self._directions.vectors)), bool)
         seen[hits.receiver, hits.texel] = True
         bits = jnp.asarray(np.packbits(seen, axis=1, bitorder="little"))

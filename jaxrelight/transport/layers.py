@@ -21,7 +21,7 @@ from jaxrelight.basis import cubemap
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import COSINE, check_terms, factor
-from jaxrelight.brdf.material import as_material
+from jaxrelight.brdf.material import as_material, in_grey
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.brdf.separable import Separable
@@ -125,7 +125,7 @@ def make_layers(
             terms = scene.terms.get(name, settings.terms)
             material = as_material(scene.materials[name])
             if settings.receivers == "vertices":
-                material = without_diffuse(material)
+                material = in_grey(without_diffuse(material))
             bump = _write_texture(folder, material.normal_map) if material.normal_map else None
             mine: list[tuple[Reflection, dict]] = []
             for component in material.components:
@@ -361,35 +361,46 @@ class _Baked:
 
     def direct(self, kept: Rows | Clusters, report: Callable[[int, int], None]):
         """Completes the layers of direct light."""
-        for reflection, record in self.each:
-            layout = kept.layout(reflection.terms, reflection.channels)
-            layer = store.make_layer(self.folder / record["transport"], layout, len(self.groups))
+        layers = self._layers("transport", [kept.layout(one.terms, one.channels) for one, _ in self.each])
 
-            def make(i: int, frames, layer=layer, reflection=reflection):
-                bits = jnp.asarray(self.visibility.read("bits", int(self.groups[i])))
-                layer.write(i, **kept.compress(bits, frames, of_group(reflection, i)))
-
-            self._complete([layer], make, report)
-
-    def bounced(self, kept: Clusters, gather: Gather, report: Callable[[int, int], None]):
-        """Completes the layers of bounced light, all at once: receivers look around once for all that they reflect."""
-        channels, layers = max(gather.channels, *(one.channels for one, _ in self.each)), []
-        for reflection, record in self.each:
-            layout = kept.layout(reflection.terms, channels)
-            if gather.emits:
-                layout["emitted"] = (GROUP, reflection.terms, channels), np.dtype(np.float32)
-            layers.append(store.make_layer(self.folder / record["bounced"], layout, len(self.groups)))
-
-        def make(i: int, frames):
-            mine = [of_group(reflection, i) for reflection, _ in self.each]
-            found = gather.rows(self.receivers, int(self.groups[i]), frames, mine)
-            for layer, one in zip(layers, found, strict=True):
-                more = {} if one.emitted is None else {"emitted": one.emitted}
-                layer.write(i, **kept.compress_rows(one.rows, one.columns), **more)
+        def make(i: int, frames, lacking: list[int]):
+            bits = jnp.asarray(self.visibility.read("bits", int(self.groups[i])))
+            for number in lacking:
+                reflection = of_group(self.each[number][0], i)
+                layers[number].write(i, **kept.compress(bits, frames, reflection))
 
         self._complete(layers, make, report)
 
+    def bounced(self, kept: Clusters, gather: Gather, report: Callable[[int, int], None]):
+        """Completes the layers of bounced light: receivers look around once for all that they reflect."""
+        channels, layouts = max(gather.channels, *(one.channels for one, _ in self.each)), []
+        for reflection, _ in self.each:
+            layouts.append(kept.layout(reflection.terms, channels))
+            if gather.emits:
+                layouts[-1]["emitted"] = (GROUP, reflection.terms, channels), np.dtype(np.float32)
+        layers = self._layers("bounced", layouts)
+
+        def make(i: int, frames, lacking: list[int]):
+            mine = [of_group(self.each[number][0], i) for number in lacking]
+            found = gather.rows(self.receivers, int(self.groups[i]), frames, mine, channels)
+            for number, one in zip(lacking, found, strict=True):
+                more = {} if one.emitted is None else {"emitted": one.emitted}
+                layers[number].write(i, **kept.compress_rows(one.rows, one.columns), **more)
+
+        self._complete(layers, make, report)
+
+    def _layers(self, kind: str, layouts) -> list[store.Layer]:
+        names = [record[kind] for _, record in self.each]
+        pairs = zip(names, layouts, strict=True)
+        return [store.make_layer(self.folder / name, layout, len(self.groups)) for name, layout in pairs]
+
     def _complete(self, layers: Sequence[store.Layer], make, report: Callable[[int, int], None]):
-        if any(layer.missing for layer in layers):
-            frames = frames_of(self.receivers, self.groups)
-            _complete(layers, self.receivers.filled[self.groups], lambda i: make(i, frames[i]), report)
+        """Runs make(group, frames, numbers of the layers that lack it)."""
+        if not any(layer.missing for layer in layers):
+            return
+        frames = frames_of(self.receivers, self.groups)
+
+        def make_lacking(i: int):
+            make(i, frames[i], [number for number, layer in enumerate(layers) if not layer.has(i)])
+
+        _complete(layers, self.receivers.filled[self.groups], make_lacking, report)

@@ -328,8 +328,9 @@ def test_info_on_a_store(folder, run, made):
     summary = summary_of(run("info", "made", "--json"))
     assert summary["scene"] == "scene"
     assert summary["receivers"] == 16 + 56
-    assert summary["rows"] == 128 + 2 * 128
-    assert summary["materials"] == {"gloss": 2, "paper": 1}
+    # A Lambert floor; of the other material, what is diffuse and two terms of its lobe.
+    assert summary["rows"] == 128 + 3 * 128
+    assert summary["materials"] == {"gloss": 3, "paper": 1}
     assert summary["settings"]["coefficients"] == 16
     assert set(summary["bytes"]) == {path.name for path in made.iterdir() if path.is_dir()}
     assert summary["unused_layers"] == []
