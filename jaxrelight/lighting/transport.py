@@ -9,15 +9,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
+from jaxrelight.basis.cubemap import Texels
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
-from jaxrelight.operators.algebra import Summed
+from jaxrelight.lights.sun import split_sun
+from jaxrelight.operators.algebra import Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
@@ -61,10 +64,32 @@ class Relighter:
         each = self.transport.each
         return tuple(_with_emitted(_terms(operator, light, block), block) for block, operator in each)
 
-    def light(self, environment: Environment) -> LightTerms:
-        """Light terms under an environment: what a change of light costs."""
-        pixels = coarsened(environment.pixels, self.transport.settings.resolution)
-        return self.terms(self.light_vector(pixels, environment.rotate_y, environment.scale))
+    def light(self, environment: Environment, split_sun: bool = True) -> LightTerms:
+        """Light terms under an environment: what a change of light costs.
+
+        Args:
+            environment: the light.
+            split_sun: integrate the few texels of a sun, where there is one, by themselves, with a shadow ray from
+                every receiver to each; what they bounce comes from the operator like all else. What is compressed is
+                farthest off under a sun. As it is found by how much it outshines the rest, terms are linear in the
+                light only to within what compression leaves out; without this they are linear.
+        """
+        transport = self.transport
+        pixels = coarsened(environment.pixels, transport.settings.resolution)
+        height, width = pixels.shape[:2]
+        resampling = latlong.area_resampling(height, width, transport.settings.resolution)
+        arguments = pixels, environment.rotate_y, environment.scale, resampling, transport.basis
+        if transport.settings.coefficients == "all" or not split_sun:
+            return self.terms(_light_vector(*arguments))
+        rest, sun, texels, radiance = _split(*arguments)
+        terms, radiance = self.terms(rest), np.asarray(radiance)
+        if not radiance.any():
+            return terms
+        found = list(sun_terms(transport, np.asarray(texels), radiance))
+        for number, (block, operator) in enumerate(transport.each):
+            for bounced in parts_of(operator)[1:]:
+                found[number] += _terms(bounced, sun, block)
+        return tuple(part + more for part, more in zip(terms, found, strict=True))
 
     def view(self, camera: Camera | None = None) -> View:
         """A camera's view; by default the scene's camera.
@@ -117,6 +142,13 @@ class Relighter:
 
 
 _light_vector = jax.jit(encode)
+
+
+@jax.jit
+def _split(pixels, rotate_y, scale, resampling, basis):
+    """Light vectors of an environment without its sun, and of the sun; its texels and their radiance."""
+    split = split_sun(encode(pixels, rotate_y, scale, resampling, Texels(basis.resolution)))
+    return basis.encode(split.rest.T).T, basis.encode(split.sun.T).T, split.texels, split.radiance
 
 
 def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Float[Array, "v k c"]:
