@@ -95,11 +95,22 @@ class Clustered(Operator):
 
     def supports(self) -> list[Int[np.ndarray, " s"]]:
         """The coefficients of each group, on the host; none where it holds nothing."""
-        found: list[np.ndarray] = [np.zeros(0, int)] * len(self.place)
+        return [one.support for one in self.clusters()]
+
+    def clusters(self) -> list[Cluster]:
+        """Each group by itself, on the host, in floating point and without filling."""
+        nothing = np.zeros((0, 0), np.float32), np.zeros((self.channels, 0, self.group_rows), np.float32)
+        found = [Cluster(np.zeros(0, int), *nothing)] * len(self.place)
         for part in self.buckets:
-            for group, support in zip(np.asarray(part.groups), np.asarray(part.support), strict=True):
+            basis, weights = (
+                np.asarray(_basis_of(part, jnp.arange(len(part.groups)))),
+                np.asarray(decoded(part.weights)),
+            )
+            for i, (group, support) in enumerate(zip(np.asarray(part.groups), np.asarray(part.support), strict=True)):
                 # Ascending, then filled up with zeros.
-                found[group] = support[: 1 + np.count_nonzero(support[1:])].astype(int)
+                s = 1 + np.count_nonzero(support[1:])
+                used = basis[i, :, :s].any(axis=1)
+                found[group] = Cluster(support[:s].astype(int), basis[i, used, :s], weights[i][:, used])
         return found
 
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
@@ -265,16 +276,6 @@ def quantised_clusters(operator: Clustered, bits: int) -> Clustered:
     return eqx.tree_at(lambda one: one.buckets, operator, tuple(coded(part) for part in operator.buckets))
 
 
-def decoded_clusters(operator: Clustered) -> Clustered:
-    """The same in floating point."""
-
-    def plain(part: Bucket) -> Bucket:
-        basis = jnp.swapaxes(part.basis.decoded(), 1, 2) if isinstance(part.basis, Quantised) else part.basis
-        return Bucket(part.groups, part.support, basis, decoded(part.weights))
-
-    return eqx.tree_at(lambda one: one.buckets, operator, tuple(plain(part) for part in operator.buckets))
-
-
 def _multiple(count: int, of: int) -> int:
     """The next multiple."""
     return -(-count // of) * of
@@ -324,7 +325,7 @@ def _holders(
     return tuple(holders), column_place
 
 
-def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) -> Clustered:
+def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) -> list[Cluster]:
     """Clusters of rows that each have coefficients of their own, as near to them as a tolerance."""
     n = operator.indices.shape[-1]
     indices = np.asarray(operator.indices).reshape(-1, n)[: operator.row_count].reshape(-1, group_rows, n)
@@ -339,7 +340,7 @@ def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) 
         )
         (support, basis, weights), _ = cluster(rows, np.ones(len(columns), np.float32), tolerance)
         found.append(Cluster(columns[support], basis, weights))
-    return clustered(found, operator.columns)
+    return found
 
 
 def cluster(

@@ -27,7 +27,7 @@ from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.operators.algebra import parts_of
-from jaxrelight.operators.clustered import Clustered, as_clusters, decoded_clusters
+from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake
@@ -39,12 +39,10 @@ _MOST = 2**20
 
 
 class _Part(NamedTuple):
-    """Clusters of a block, in buckets, and where each group of the material is among them."""
+    """Clusters of the groups of a block, and a number for each size, −1 where there is nothing."""
 
-    clusters: Clustered
-    bucket_of: Int[np.ndarray, " g"]
-    index_of: Int[np.ndarray, " g"]
-    supports: list[Int[np.ndarray, " s"]]
+    clusters: list[Cluster]
+    size: Int[np.ndarray, " g"]
 
 
 class Hits(NamedTuple):
@@ -198,7 +196,7 @@ class Gather:
             mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
             if not len(mine):
                 continue
-            length = _power_of_two(len(mine))
+            length = _power(len(mine), 2, 1024)
             directions = points.normals, points.tangents, points.omega_o
             local = _local(*(filled_up(rows[mine], length) for rows in directions))
             uv, footprint = filled_up(points.uv[mine], length), filled_up(points.footprint[mine], length)
@@ -226,24 +224,39 @@ def _lines_of(part: _Part, entries, slots: Int[np.ndarray, " e"], light_side, cl
         channels: of the lines.
     """
     group, vertex = np.divmod(slots, GROUP)
-    # Entries of a group one after the other, groups of a bucket too.
-    order = np.lexsort((group, part.bucket_of[group]))
+    # Entries of a group one after the other, groups of a size too.
+    order = np.lexsort((group, part.size[group]))
     starts = np.flatnonzero(np.diff(group[order], prepend=-1))
     ends, seen = np.append(starts[1:], len(order)), group[order][starts]
     of_a_group = GROUP * light_side.shape[1] * light_side.shape[2] * closing.shape[1] * channels
-    most = 1 << max(1, _MOST // of_a_group).bit_length() - 1
-    for number, bucket in enumerate(part.clusters.buckets):
-        for some in _runs(np.flatnonzero(part.bucket_of[seen] == number), most):
+    most = _power(max(1, _MOST // of_a_group), 4)
+    for size in np.unique(part.size[seen][part.size[seen] >= 0]):
+        for some in _runs(np.flatnonzero(part.size[seen] == size), most):
             chosen = order[starts[some[0]] : ends[some[-1]]]
-            length, wide = _power_of_two(len(chosen)), _power_of_two(len(some), 1)
+            length, wide = _power(len(chosen), 4, 1024), _power(len(some), 4)
             place = np.repeat(np.arange(len(some)), ends[some] - starts[some])
             columns = *(values[chosen] for values in entries), place * GROUP + vertex[chosen]
             matrix = _seen(light_side, closing, *(filled_up(x, length) for x in columns), wide, channels)
-            index = filled_up(part.index_of[seen[some]], wide)
-            lines = np.asarray(_mixed(matrix, bucket.basis, bucket.weights, index))
-            for group_seen, found in zip(seen[some], lines, strict=False):
-                support = part.supports[group_seen]
-                yield support, found[: len(support)]
+            clusters = [part.clusters[number] for number in seen[some]]
+            lines = np.asarray(_mixed(matrix, *_together(clusters, wide)))
+            for one, found in zip(clusters, lines, strict=False):
+                yield one.support, found[: len(one.support)]
+
+
+def _together(clusters: list[Cluster], wide: int) -> tuple[Float[np.ndarray, "p q s"], Float[np.ndarray, "p c q r"]]:
+    """Shared rows and weights of a few clusters of a size, filled up to it."""
+    q, s = _size(clusters[0])
+    c, _, r = clusters[0].weights.shape
+    basis, weights = np.zeros((wide, q, s), np.float32), np.zeros((wide, c, q, r), np.float32)
+    for i, one in enumerate(clusters):
+        basis[i, : len(one.basis), : len(one.support)] = one.basis
+        weights[i, :, : len(one.basis)] = one.weights
+    return basis, weights
+
+
+def _size(one: Cluster) -> tuple[int, int]:
+    """What a cluster's shared rows and coefficients are filled up to: few sizes, the same for all scenes."""
+    return _power(len(one.basis), 2, 4), _power(len(one.support), 2, 32)
 
 
 def _runs(array: np.ndarray, most: int):
@@ -284,13 +297,10 @@ def _part(operator: Operator, block: Block) -> _Part:
         clusters = as_clusters(operator, GROUP * block.reflection.terms)
     else:
         assert isinstance(operator, Clustered)
-        clusters = decoded_clusters(operator)
-    bucket_of = np.full(len(block.groups), -1)
-    index_of = np.zeros(len(block.groups), np.int32)
-    for number, bucket in enumerate(clusters.buckets):
-        groups = np.asarray(bucket.groups)
-        bucket_of[groups], index_of[groups] = number, np.arange(len(groups))
-    return _Part(clusters, bucket_of, index_of, clusters.supports())
+        clusters = operator.clusters()
+    sizes = [_size(one) if len(one.support) else None for one in clusters]
+    number = {size: i for i, size in enumerate(sorted({size for size in sizes if size}))}
+    return _Part(clusters, np.array([number[size] if size else -1 for size in sizes]))
 
 
 def _outgoing_shape(block: Block):
@@ -299,8 +309,11 @@ def _outgoing_shape(block: Block):
     return jax.eval_shape(outgoing, block.reflection, block.weight, *one).shape
 
 
-def _power_of_two(count: int, least: int = 1024) -> int:
-    return max(least, 1 << (count - 1).bit_length())
+def _power(count: int, base: int, least: int = 1) -> int:
+    """The next of least · base^e."""
+    while least < count:
+        least *= base
+    return least
 
 
 _local = jax.jit(to_local)
@@ -349,14 +362,14 @@ def _seen(
 
 @jax.jit
 def _mixed(
-    seen: Float[Array, "p v m k l c"], basis: Float[Array, "b q s"], weights: Float[Array, "b c q r"], index
+    seen: Float[Array, "p v m k l c"], basis: Float[Array, "p q s"], weights: Float[Array, "p c q r"]
 ) -> Float[Array, "p s w"]:
     """The rows of what is seen, each group's over its own coefficients."""
     p, v, m, k, terms, c = seen.shape
-    own = weights[index].reshape(p, weights.shape[1], -1, v, terms)
+    own = weights.reshape(p, weights.shape[1], -1, v, terms)
     own = jnp.broadcast_to(own, (p, c, *own.shape[2:]))
     mixtures = jnp.einsum("pcqvl,pvmklc->pqmkc", own, seen, precision="highest")
-    return jnp.einsum("pqs,pqmkc->psmkc", basis[index], mixtures, precision="highest").reshape(p, -1, m * k * c)
+    return jnp.einsum("pqs,pqmkc->psmkc", basis, mixtures, precision="highest").reshape(p, -1, m * k * c)
 
 
 def remaining(transport: Transport, before: Transport | None, albedo: float) -> float:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters, cluster, clustered, quantised_clusters
+from jaxrelight.operators.clustered import Cluster, as_clusters, cluster, clustered, quantised_clusters
 from jaxrelight.operators.sparse_rows import sparse_rows
 
 D = 96  # texels of a 6×4² cube map
@@ -133,9 +133,24 @@ def test_rows_become_clusters():
     rng = np.random.default_rng(0)
     indices = np.sort(rng.random((8, D)).argsort(axis=1)[:, :6], axis=1)
     rows = sparse_rows(indices, rng.normal(size=(8, 3, 6)).astype(np.float32), D)
-    found = as_clusters(rows, 4, 1e-6)
-    assert isinstance(found, Clustered)
+    found = clustered(as_clusters(rows, 4, 1e-6), D)
     assert relative(found.to_matrix(), np.asarray(rows.to_matrix())) < 1e-5
+
+
+@pytest.mark.parametrize("bits", [8, 32])
+def test_groups_come_out_as_they_went_in(bits):
+    given = of_sizes([(96, 8), (40, 2), (0, 0), (95, 7)], c=3)
+    operator = clustered(given, 1536)
+    if bits < 32:
+        operator = quantised_clusters(operator, bits)
+    for one, found in zip(given, operator.clusters(), strict=True):
+        np.testing.assert_array_equal(found.support, one.support)
+        assert found.weights.shape == one.weights.shape
+        if bits == 32:
+            np.testing.assert_array_equal(found.basis, one.basis)
+            np.testing.assert_array_equal(found.weights, one.weights)
+        elif len(one.support):
+            assert relative(found.basis, one.basis) < 0.02
 
 
 def test_filling_is_black():
