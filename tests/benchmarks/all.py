@@ -23,6 +23,7 @@ PROGRAMS = (
     "quantised_rows",
     "clusters",
     "interreflections",
+    "operators",
     "fit_speed",
     "fit_materials",
     "fit_measured",

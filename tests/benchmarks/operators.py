@@ -1,0 +1,135 @@
+"""Every operator on the same scenes: seconds, bytes, error, time of a light and of a view (Wang 2006, Tables I, II)."""
+
+import argparse
+import contextlib
+import pathlib
+import tempfile
+import time
+from typing import Any
+
+import numpy as np
+
+from tests.benchmarks.clusters import _scene
+from tests.benchmarks.measuring import Report, Timing, interleaved, megabytes, percent, shared
+from tests.benchmarks.mesh_size import PAPER
+
+MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply"}
+LIGHTS = ("pmndrs_venice.exr", "grace_latlong.exr", "blender_sunset.exr")
+DIRECT: dict[str, dict[str, Any]] = {
+    "rows, N = 128": {"operator": "rows"},
+    "rows, N = 128, 8 bits": {"operator": "rows", "bits": 8},
+    "clusters, 0.03": {"operator": "clusters", "tolerance": 0.03},
+    "clusters, 0.02": {"operator": "clusters", "tolerance": 0.02},
+    "clusters, 0.02, 8 bits": {"operator": "clusters", "tolerance": 0.02, "bits": 8},
+}
+ONE_BOUNCE = ("clusters, 0.02", "clusters, 0.02, 8 bits")
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.operators", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="resolution 16, a small mesh; RESULTS.md is left as it is")
+    parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
+    arguments = parser.parse_args()
+    resolution, runs = (16, 3) if arguments.quick else (64, 15)
+    meshes = {"teapot": "teapot.obj"} if arguments.quick else MESHES
+    parameters = (
+        f"meshes on a floor of 31 K vertices, vertices, resolution {resolution}; K = 1: Lambert; K = 4: Phong 50 as "
+        "its diffuse part and 4 factors of its lobe; errors of the picture against all coefficients, relative L2 without "
+        "the worst 5 % of pixels, mean over venice, Grace and sunset; times are medians of interleaved runs"
+    )
+    with contextlib.ExitStack() as stack:
+        folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        report = stack.enter_context(Report("operators", "Operators", parameters, not arguments.quick))
+        report.text(
+            "For comparison, Wang 2006 (P4 2.4 GHz, GeForce 6800), direct light with 1 / 4 terms: bunny of 36 K "
+            f"vertices {PAPER[1][2]}, {PAPER[1][3]}; Lucy of 102 K {PAPER[2][2]}, {PAPER[2][3]}; a light on the CPU "
+            "83 / 208 and 169 / 556 ms. One bounce took 25 to 32 minutes more on the bunny."
+        )
+        for name, file in meshes.items():
+            for terms in (1, 4):
+                scene = _scene(shared("data", "mesh", file), terms)
+                compare(report, name, scene, terms, resolution, folder / name, runs)
+        report.speed()
+
+
+def compare(report: Report, name: str, scene, terms: int, resolution: int, folder: pathlib.Path, runs: int):
+    """One scene by all operators."""
+    import jaxrelight as jr
+
+    environments = [jr.load_environment(shared("data", "env", file)) for file in LIGHTS]
+    made, relighters = {}, {}
+    for label, dials in DIRECT.items():
+        settings = jr.Settings(resolution=resolution, terms=terms, **dials)
+        made[label] = jr.precompute(scene, settings, folder)
+        relighters[label] = jr.Relighter(jr.load(made[label].folder, made[label].header, made[label].placed))
+    first = next(iter(relighters.values()))
+    view = first.view()
+    exact = jr.Relighter(jr.exact(first.transport))
+    wanted = [_surface(exact, one, view) for one in environments]
+    clock = time.perf_counter()
+    exact.light(environments[0])
+    exact_seconds = time.perf_counter() - clock
+    for label in ONE_BOUNCE:
+        settings = jr.Settings(resolution=resolution, terms=terms, bounces=1, **DIRECT[label])
+        more = f"{label}, one bounce"
+        made[more] = jr.precompute(scene, settings, folder)
+        relighters[more] = jr.Relighter(jr.load(made[more].folder, made[more].header, made[more].placed))
+    lights, views = _times(relighters, environments[0], view, runs)
+    rows = []
+    for label, relighter in relighters.items():
+        bounced = label not in DIRECT
+        error = "" if bounced else percent(_error(relighter, environments, view, wanted))
+        stage, layers = ("bounce 1", "bounced") if bounced else ("transport", "transport")
+        seconds, on_disk = made[label].seconds[stage], made[label].nbytes[layers]
+        numbers = [f"{seconds:.0f}", megabytes(on_disk), megabytes(relighter.transport.operator.nbytes), error]
+        rows.append([label, *numbers, _milliseconds(lights[label]), _milliseconds(views[label])])
+    start = made[next(iter(DIRECT))]
+    report.text(
+        f"**{name}, K = {terms}**, {start.receivers:,} receivers; visibility took {start.seconds['visibility']:.0f} s, "
+        "for all, or was there already. Of a bounce, seconds and the store are those of what it adds. A light is the "
+        "operator alone, with all coefficients "
+        f"{exact_seconds:.1f} s, since their rows are baked at every light."
+    )
+    heads = ["operator", "made in / s", "in the store", "in memory", "error", "a light / ms", "a view / ms"]
+    report.table(heads, rows)
+
+
+def _times(relighters, environment, view, runs: int) -> tuple[dict[str, Timing], dict[str, Timing]]:
+    import jax
+
+    vector = next(iter(relighters.values())).light_vector(_pixels(environment, relighters))
+    terms = {label: jax.block_until_ready(relighter.terms(vector)) for label, relighter in relighters.items()}
+    lights = {label: lambda one=one: one.terms(vector) for label, one in relighters.items()}
+    views = {label: lambda label=label, one=one: one.shade(terms[label], view) for label, one in relighters.items()}
+    return interleaved(lights, runs), interleaved(views, runs)
+
+
+def _pixels(environment, relighters):
+    import jax.numpy as jnp
+
+    from jaxrelight.lights.environment import coarsened
+
+    resolution = next(iter(relighters.values())).transport.settings.resolution
+    return jnp.asarray(coarsened(environment.pixels, resolution))
+
+
+def _surface(relighter, environment, view) -> np.ndarray:
+    """Radiance of the pixels under a light whose sun, if it has one, is compressed like all else."""
+    terms = relighter.light(environment, split_sun=False)
+    return relighter.image(environment, view, terms, background=False)
+
+
+def _error(relighter, environments, view, wanted) -> float:
+    import jaxrelight as jr
+
+    pairs = zip(environments, wanted, strict=True)
+    errors = [jr.image_error(_surface(relighter, one, view), picture).trimmed for one, picture in pairs]
+    return float(np.mean(errors))
+
+
+def _milliseconds(timing: Timing) -> str:
+    return f"{timing.median * 1e3:.1f}"
+
+
+if __name__ == "__main__":
+    main()
