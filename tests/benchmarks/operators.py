@@ -34,8 +34,8 @@ def main():
     meshes = {"teapot": "teapot.obj"} if arguments.quick else MESHES
     parameters = (
         f"meshes on a floor of 31 K vertices, vertices, resolution {resolution}; K = 1: Lambert; K = 4: Phong 50 as "
-        "its diffuse part and 4 factors of its lobe; errors of the picture against all coefficients, relative L2 without "
-        "the worst 5 % of pixels, mean over venice, Grace and sunset; times are medians of interleaved runs"
+        "its diffuse part and 4 factors of its lobe; errors of the picture against all coefficients, relative L2 "
+        "without the worst 5 % of pixels, mean over venice, Grace and sunset; times are medians of interleaved runs"
     )
     with contextlib.ExitStack() as stack:
         folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
