@@ -234,12 +234,20 @@ def test_jit_does_not_retrace_for_other_values(name):
     np.testing.assert_allclose(first[0], call("apply", operator, light), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("count", [1, 3])
 @pytest.mark.parametrize("name", SMALL)
-def test_vmap_over_light(name):
-    operator, _ = case(name)
-    lights = random(3, operator.shape[1], 3)
+def test_many_lights_are_each_by_itself(name, count):
+    operator, matrix = case(name)
+    r, d, _ = operator.shape
+    lights = random(count, d, 3)
     each = np.stack([call("apply", operator, light) for light in lights])
     np.testing.assert_allclose(jax.jit(jax.vmap(operator.apply))(lights), each, rtol=1e-5, atol=1e-5)
+    many = call("apply_many", operator, lights)
+    assert many.shape == (count, r, 3)
+    assert many.dtype == np.float32
+    np.testing.assert_allclose(many, each, rtol=1e-5, atol=1e-5)
+    matrix = np.broadcast_to(matrix, (r, 3, d))
+    assert relative(many, np.einsum("rcd,ndc->nrc", matrix, np.asarray(lights, float))) < 1e-6
 
 
 @pytest.mark.parametrize("name", PYTREES)
@@ -257,8 +265,13 @@ def test_gradients_in_light_and_values(x64, name):
     def back(values, radiance):
         return eqx.combine(values, rest).transpose(radiance)
 
+    @jax.jit
+    def many(values, lights):
+        return eqx.combine(values, rest).apply_many(lights)
+
     check_grads(forward, (values, light), 1, ["fwd", "rev"])
     check_grads(back, (values, radiance), 1, ["fwd", "rev"])
+    check_grads(many, (values, random(2, d, 3, dtype=np.float64)), 1, ["fwd", "rev"])
     _, pull = jax.vjp(forward, values, light)
     np.testing.assert_allclose(pull(radiance)[1], back(values, radiance), rtol=1e-12, atol=1e-12)
 
