@@ -271,7 +271,7 @@ def test_gradients_in_light_and_values(x64, name):
 
     check_grads(forward, (values, light), 1, ["fwd", "rev"])
     check_grads(back, (values, radiance), 1, ["fwd", "rev"])
-    check_grads(many, (values, random(2, d, 3, dtype=np.float64)), 1, ["fwd", "rev"])
+    check_grads(many, (values, random(2, d, 3, dtype=np.float64)), 1, ["rev"])
     _, pull = jax.vjp(forward, values, light)
     np.testing.assert_allclose(pull(radiance)[1], back(values, radiance), rtol=1e-12, atol=1e-12)
 
