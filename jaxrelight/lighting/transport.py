@@ -1,7 +1,7 @@
 """Lighting by precomputed transport (Wang 2006 §4.3): light → light terms, and light terms → image."""
 
-import functools
 import pathlib
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,8 @@ from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.load import Block, Transport, load
 
-# Light terms [receivers, k, c] of every block of the operator.
-LightTerms = tuple[Float[Array, "v k c"], ...]
+# Light terms [receivers, k, c] of every block of the operator; with a leading axis where they are of many lights.
+LightTerms = tuple[Float[Array, "*n v k c"], ...]
 
 
 class Relighter:
@@ -55,11 +55,12 @@ class Relighter:
         resampling = latlong.area_resampling(height, width, self.transport.settings.resolution)
         return _light_vector(pixels, rotate_y, scale, resampling, self.transport.basis)
 
-    def terms(self, light: Float[Array, "d c"]) -> LightTerms:
+    def terms(self, light: Float[Array, "*n d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator.
 
         Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
-        about the same size compiles nothing new.
+        about the same size compiles nothing new. Of n light vectors, terms are [n, v, k, c], by one product for all,
+        which is compiled anew for every n: with clusters, it costs less than one after the other.
         """
         each = self.transport.each
         return tuple(_with_emitted(_terms(operator, light, block), block) for block, operator in each)
@@ -75,12 +76,11 @@ class Relighter:
                 light only to within what compression leaves out; without this they are linear.
         """
         transport = self.transport
-        pixels = coarsened(environment.pixels, transport.settings.resolution)
-        height, width = pixels.shape[:2]
-        resampling = latlong.area_resampling(height, width, transport.settings.resolution)
-        arguments = pixels, environment.rotate_y, environment.scale, resampling, transport.basis
         if transport.settings.coefficients == "all" or not split_sun:
-            return self.terms(_light_vector(*arguments))
+            return self.terms(self._light_vector_of(environment))
+        pixels = coarsened(environment.pixels, transport.settings.resolution)
+        resampling = latlong.area_resampling(*pixels.shape[:2], transport.settings.resolution)
+        arguments = pixels, environment.rotate_y, environment.scale, resampling, transport.basis
         rest, sun, texels, radiance = _split(*arguments)
         terms, radiance = self.terms(rest), np.asarray(radiance)
         if not radiance.any():
@@ -90,6 +90,17 @@ class Relighter:
             for bounced in parts_of(operator)[1:]:
                 found[number] += _terms(bounced, sun, block)
         return tuple(part + more for part, more in zip(terms, found, strict=True))
+
+    def light_many(self, environments: Sequence[Environment]) -> LightTerms:
+        """Light terms [n, v, k, c] under each of n environments, all at once; no sun is split off.
+
+        Those of the i-th, to be shaded, are `tuple(part[i] for part in terms)`.
+        """
+        return self.terms(jnp.stack([self._light_vector_of(one) for one in environments]))
+
+    def _light_vector_of(self, environment: Environment) -> Float[Array, "d c"]:
+        pixels = coarsened(environment.pixels, self.transport.settings.resolution)
+        return self.light_vector(pixels, environment.rotate_y, environment.scale)
 
     def view(self, camera: Camera | None = None) -> View:
         """A camera's view; by default the scene's camera.
@@ -151,8 +162,8 @@ def _split(pixels, rotate_y, scale, resampling, basis):
     return basis.encode(split.rest.T).T, basis.encode(split.sun.T).T, split.texels, split.radiance
 
 
-def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Float[Array, "v k c"]:
-    """One block's light terms, compiled unless the operator reads a store as it goes."""
+def _terms(operator: Operator, light: Float[Array, "*n d c"], block: Block) -> Float[Array, "*n v k c"]:
+    """One block's light terms of a light or many, compiled unless the operator reads a store as it goes."""
     receivers = padded_receivers(len(block.groups) * GROUP)
     if isinstance(operator, Summed):
         first, *others = (_terms(part, light, block) for part in operator.operators)
@@ -162,15 +173,14 @@ def _terms(operator: Operator, light: Float[Array, "d c"], block: Block) -> Floa
     if isinstance(operator, Clustered):
         filled = operator.with_filling(receivers // GROUP)
         return _compiled_terms(filled, light, receivers, block.reflection.terms)
-    product = operator.apply(light).reshape(-1, block.reflection.terms, light.shape[1])
-    return jnp.pad(product, ((0, receivers - len(product)), (0, 0), (0, 0)))
+    return _product(operator, light, receivers, block.reflection.terms)
 
 
 def _with_emitted(terms: Float[Array, "v k c"], block: Block) -> Float[Array, "v k c"]:
     """Light terms of the sky, and of what surfaces emit."""
     if block.emitted is None:
         return terms
-    more = len(terms) - len(block.emitted)
+    more = terms.shape[-3] - len(block.emitted)
     return terms + np.pad(block.emitted, ((0, more), (0, 0), (0, 0)))
 
 
@@ -181,9 +191,15 @@ def _add_emission(image: Float[Array, "h w c"], emission: Float[Array, " c"], pi
     return image.reshape(h * w, c).at[pixels.pixel].add(radiance, mode="drop").reshape(h, w, c)
 
 
-@functools.partial(jax.jit, static_argnames=("receivers", "terms"))
-def _compiled_terms(operator: Operator, light: Float[Array, "d c"], receivers: int, terms: int):
-    return operator.apply(light)[: receivers * terms].reshape(receivers, terms, light.shape[1])
+def _product(operator: Operator, light: Float[Array, "*n d c"], receivers: int, terms: int) -> Float[Array, "*n v k c"]:
+    """The product, its rows by receiver; cut, or followed by zeros, to a number of receivers."""
+    found = operator.apply(light) if light.ndim == 2 else operator.apply_many(light)
+    more = max(receivers * terms - found.shape[-2], 0)
+    found = jnp.pad(found, [*[(0, 0)] * (found.ndim - 2), (0, more), (0, 0)])[..., : receivers * terms, :]
+    return found.reshape(*found.shape[:-2], receivers, terms, found.shape[-1])
+
+
+_compiled_terms = jax.jit(_product, static_argnames=("receivers", "terms"))
 
 
 @jax.jit

@@ -1,5 +1,6 @@
 """Operators made of others."""
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Basis, Operator
@@ -24,6 +25,11 @@ class Summed(Operator):
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row."""
         first, *others = (operator.apply(light) for operator in self.operators)
+        return sum(others, first)
+
+    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Radiance of every row under each light."""
+        first, *others = (operator.apply_many(lights) for operator in self.operators)
         return sum(others, first)
 
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
@@ -56,6 +62,10 @@ class InBasis(Operator):
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row."""
         return self.operator.apply(self.basis.encode(light.T).T)
+
+    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Radiance of every row under each light."""
+        return self.operator.apply_many(jnp.swapaxes(self.basis.encode(jnp.swapaxes(lights, 1, 2)), 1, 2))
 
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint: decoding is the transpose of encoding."""

@@ -18,8 +18,8 @@ from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type
 # Numbers that buckets may be filled up with to have one bucket less: reading them takes as long as what it costs.
 _FILLING = 2**16
 
-# The most channels that are products with vectors.
-_FEW = 16
+# Groups of a step of the product with many lights: what a step gathers should stay in cache.
+_TOGETHER = 4
 
 
 class Cluster(NamedTuple):
@@ -114,17 +114,43 @@ class Clustered(Operator):
         return found
 
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row: per group one gather of light and two small products.
+        """Radiance of every row: per group one gather of light and two small products."""
+        channels = self._channels_of(light)
+        nothing = jnp.zeros((1, self.group_rows, channels), light.dtype)
+        mixed = jnp.concatenate([*(_by_channel(part, light) for part in self.buckets), nothing])
+        return mixed.at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
 
-        Grey rows take any number of channels: many lights side by side cost less than one after the other.
+    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Radiance of every row under each light: products of matrices, a few groups at a time, to stay in cache.
+
+        Light is multiplied with the shared rows in all channels at once, and with the weights in each.
         """
-        channels = light.shape[1]
+        n, channels = len(lights), self._channels_of(lights)
+        # Of every column, one run of numbers to be gathered: channels c, lights n.
+        side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, channels * n)
+        out = jnp.zeros((n, len(self.place), self.group_rows, channels), lights.dtype)
+        for part in self.buckets:
+            b = len(part.groups)
+            few = min(_TOGETHER, b)
+
+            def some(out, start, part=part, few=few):
+                chosen = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, few), part)
+                radiance = jax.vmap(lambda group: _at_once(group, side_by_side, channels))(chosen)
+                # Written where it belongs at once: all of it is larger than the operator, and slow to move.
+                for i in range(few):
+                    out = jax.lax.dynamic_update_slice_in_dim(out, radiance[i][:, None], chosen.groups[i], axis=1)
+                return out, None
+
+            # The last ones overlap those before, so that no bucket is cut, which would copy it.
+            out, _ = jax.lax.scan(some, out, np.minimum(np.arange(0, b, few), b - few).astype(np.int32))
+        return out.reshape(n, -1, channels)
+
+    def _channels_of(self, light: Float[Array, "... d c"]) -> int:
+        """Those of light, which the operator's must fit."""
+        channels = light.shape[-1]
         if self.channels not in (1, channels):
             raise ValueError(f"light has {channels} channels, the operator {self.channels}")
-        by_group = _at_once if self.channels == 1 and channels > _FEW else _by_channel
-        nothing = jnp.zeros((1, self.group_rows, channels), light.dtype)
-        mixed = jnp.concatenate([*(by_group(part, light) for part in self.buckets), nothing])
-        return mixed.at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
+        return channels
 
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint: the two products the other way round; every column is a sum over its holders.
@@ -175,16 +201,17 @@ def _by_channel(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c
     return jnp.moveaxis(_mixtures(part.weights, shared), 1, 2)
 
 
-def _at_once(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c"]:
-    """The same for grey rows and many channels: products of matrices, group by group, so that all stays in cache."""
-
-    def group(part: Bucket):
-        basis = part.basis.decoded().T if isinstance(part.basis, Quantised) else part.basis
-        found = light.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
-        shared = jnp.matmul(basis, found, precision="highest")
-        return jnp.matmul(decoded(part.weights)[0].T, shared, precision="highest")
-
-    return jax.lax.map(group, part)
+def _at_once(part: Bucket, lights: Float[Array, "d cn"], channels: int) -> Float[Array, "n r c"]:
+    """Radiance of the rows of one group, a bucket without its first axis, under many lights."""
+    basis = part.basis.decoded().T if isinstance(part.basis, Quantised) else part.basis
+    found = lights.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
+    shared = jnp.matmul(basis, found, precision="highest").reshape(len(basis), channels, -1)
+    weights = decoded(part.weights)
+    if len(weights) == 1:
+        mixed = jnp.einsum("qcl,qr->clr", shared, weights[0], precision="highest")
+    else:
+        mixed = jnp.einsum("qcl,cqr->clr", shared, weights, precision="highest")
+    return jnp.moveaxis(mixed, 0, 2)
 
 
 def _of_one_channel(basis: Float[Array, "b i n"] | Quantised) -> Float[Array, "b 1 i n"] | Quantised:

@@ -40,6 +40,10 @@ class Operator(eqx.Module):
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: y[r, c] = Σ_d T[r, c, d] x[d, c]."""
 
+    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Radiance of every row under each of n lights, where one product for all of them costs less than n."""
+        return jax.vmap(self.apply)(lights)
+
     @abc.abstractmethod
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint: x[d, c] = Σ_r T[r, c, d] y[r, c]."""

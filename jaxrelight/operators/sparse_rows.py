@@ -12,6 +12,10 @@ from jaxrelight.operators.quantised import Quantised, decoded
 # The most rows of a block of the product: what a block gathers should stay in cache.
 _BLOCK = 4096
 
+# The same where there are many lights, and from how many on that is quicker than one light after the other.
+_FEW = 32
+_MANY = 8
+
 
 class SparseRows(Operator):
     """n coefficients a row, at indices shared by the channels. Made by `sparse_rows`.
@@ -50,8 +54,7 @@ class SparseRows(Operator):
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: a gather of light and a short sum, block by block."""
         channels = range(light.shape[1])
-        if len(self.values) not in (1, len(channels)):
-            raise ValueError(f"light has {len(channels)} channels, the operator {len(self.values)}")
+        self._check(len(channels))
         # One contiguous vector of light for each channel.
         by_channel = tuple(light[:, c] for c in channels)
 
@@ -63,6 +66,39 @@ class SparseRows(Operator):
         products = jax.lax.map(block, (self.indices, self.values))
         # blocks b, channels c, rows m of a block
         return jnp.moveaxis(products, 1, 2).reshape(-1, len(channels))[: self.row_count]
+
+    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Radiance of every row under each light: of each coefficient one gather for all, a few rows at a time."""
+        n, _, c = lights.shape
+        if n < _MANY:
+            return super().apply_many(lights)
+        self._check(c)
+        # Of every column, one run of numbers to be gathered: channels c, lights n.
+        side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, c * n)
+        rows = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), (self.indices, self.values))
+        held = len(rows[0])
+        few = min(_FEW, held)
+
+        def some(out, start):
+            indices, channels = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, few), rows)
+            gathered = side_by_side.at[indices.astype(jnp.int32)].get(mode="promise_in_bounds")
+            values = [decoded(channel) for channel in channels]
+            if len(values) == 1:
+                found = jnp.einsum("ri,ril->rl", values[0], gathered, precision="highest").reshape(few, c, n)
+            else:
+                apart = gathered.reshape(*indices.shape, c, n)
+                each = [jnp.einsum("ri,ril->rl", values[i], apart[:, :, i], precision="highest") for i in range(c)]
+                found = jnp.stack(each, axis=1)
+            return jax.lax.dynamic_update_slice_in_dim(out, jnp.transpose(found, (2, 0, 1)), start, axis=1), None
+
+        # The last ones overlap those before, so that nothing is cut, which would copy it.
+        starts = np.minimum(np.arange(0, held, few), held - few).astype(np.int32)
+        out, _ = jax.lax.scan(some, jnp.zeros((n, held, c), lights.dtype), starts)
+        return out[:, : self.row_count]
+
+    def _check(self, channels: int):
+        if len(self.values) not in (1, channels):
+            raise ValueError(f"light has {channels} channels, the operator {len(self.values)}")
 
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint, by scatter-add. Float32 sums here are serial: rounding grows with rows per coefficient."""

@@ -32,6 +32,10 @@ class Stacked(Operator):
         """Radiance of every row."""
         return jnp.concatenate([operator.apply(light) for operator in self.operators])
 
+    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Radiance of every row under each light."""
+        return jnp.concatenate([operator.apply_many(lights) for operator in self.operators], axis=1)
+
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint."""
         parts = zip(self.operators, self.starts[:-1], self.starts[1:], strict=True)

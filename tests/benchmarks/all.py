@@ -22,6 +22,7 @@ PROGRAMS = (
     "second_render",
     "quantised_rows",
     "clusters",
+    "changed_light",
     "interreflections",
     "operators",
     "fit_speed",

@@ -437,7 +437,7 @@ def speed(report: Report, scene, terms: int, tolerance: float, one: Sample, fold
         "the adjoint at most 1.5 times as long."
     )
     report.table(["what", "held", "time", "over reading", "over apply", f"{best} / this"], table)
-    many(report, operator, apply, runs)
+    many(report, operator, runs)
 
 
 def _scipy(one: Sample, rows: int, light, runs: int, ours) -> dict[str, Timing]:
@@ -463,7 +463,7 @@ def _scipy(one: Sample, rows: int, light, runs: int, ours) -> dict[str, Timing]:
     return interleaved(sides, runs, 1)
 
 
-def many(report: Report, operator, apply, runs: int):
+def many(report: Report, operator, runs: int):
     """Many lights at once, against dense products of the same shapes."""
     import jax
     import jax.numpy as jnp
@@ -482,13 +482,12 @@ def many(report: Report, operator, apply, runs: int):
     found = [jnp.ones((*part.support.shape, 3 * LIGHTS)) for part in operator.buckets]
     shared_rows = [jnp.ones((*part.weights.shape[:3], 3 * LIGHTS // c)) for part in operator.buckets]
     batched = jax.jit(jax.vmap(lambda operator, light: operator.apply(light), in_axes=(None, 0)))
+    at_once = jax.jit(lambda operator, lights: operator.apply_many(lights))
     sides = {
         "dense products of the same shapes": lambda: dense(operator, found, shared_rows),
         "vmap of apply": lambda: batched(operator, lights),
+        "apply_many": lambda: at_once(operator, lights),
     }
-    if c == 1:
-        columns = jnp.moveaxis(lights, 0, 1).reshape(COLUMNS, -1)
-        sides["apply to all as columns"] = lambda: apply(operator, columns)
     times = interleaved(sides, max(runs // 4, 1), 1)
     first = times["dense products of the same shapes"]
     table = [

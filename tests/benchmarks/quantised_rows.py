@@ -76,7 +76,7 @@ class Patch:
         return np.sum(terms * self.view, axis=1)[None]
 
 
-def light_vector(file: str, scale: float) -> Float[np.ndarray, "d c"]:
+def light_vector(file: str, scale: float, resolution: int = RESOLUTION) -> Float[np.ndarray, "d c"]:
     """The light vector of an environment."""
     import jax.numpy as jnp
 
@@ -85,10 +85,10 @@ def light_vector(file: str, scale: float) -> Float[np.ndarray, "d c"]:
     from jaxrelight.basis.haar import HaarFaces
     from jaxrelight.lights.environment import coarsened, encode
 
-    pixels = coarsened(load_environment(shared("data", "env", file)).pixels, RESOLUTION)
-    resampling = latlong.area_resampling(*pixels.shape[:2], RESOLUTION)
+    pixels = coarsened(load_environment(shared("data", "env", file)).pixels, resolution)
+    resampling = latlong.area_resampling(*pixels.shape[:2], resolution)
     number = jnp.float32
-    return np.array(encode(jnp.asarray(pixels), number(0), number(scale), resampling, HaarFaces(RESOLUTION)))
+    return np.array(encode(jnp.asarray(pixels), number(0), number(scale), resampling, HaarFaces(resolution)))
 
 
 def bake(name: str, material: str, count: int, lights) -> Patch:

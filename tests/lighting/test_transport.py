@@ -9,6 +9,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.transport.compression import padded_receivers
 
@@ -106,6 +107,38 @@ def test_light_and_shade_make_the_picture(relighter: Relighter):
     given = relighter.image(environment, view, terms)
     np.testing.assert_array_equal(given, relighter.image(environment, view))
     np.testing.assert_array_equal(given[view.covered][:, :3], np.asarray(relighter.shade(terms, view))[view.covered])
+
+
+def test_many_lights_are_each_by_itself(relighter: Relighter):
+    """A sky turned in steps, and another: each as it is alone, in all terms and in its picture."""
+    turned = [jr.environment(SKY, rotate_y=degrees, scale=2) for degrees in (0, 30, 200)]
+    environments = [*turned, jr.environment(SKY[:6, :12] + 1)]
+    many, view = relighter.light_many(environments), relighter.view()
+    for i, environment in enumerate(environments):
+        mine = tuple(part[i] for part in many)
+        for found, wanted in zip(mine, relighter.light(environment), strict=True):
+            assert found.shape == wanted.shape
+            np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
+        image = relighter.image(environment, view, mine)
+        np.testing.assert_allclose(image, relighter.image(environment, view), rtol=1e-5, atol=1e-5)
+    assert _relative(many[0][1], many[0][0]) > 0.1
+
+
+@pytest.mark.parametrize("way", ["clusters", "all"])
+def test_many_lights_where_surfaces_emit(tmp_path, way: str):
+    """What bounces add is added to each: to clusters, and to rows that are baked as they are needed."""
+    lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))
+    parts = [Part(jr.plane((2, 2), 2), "paper"), Part(_up(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
+    scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
+    kept = {"coefficients": "all"} if way == "all" else {"operator": "clusters"}
+    jr.precompute(scene, Settings(resolution=4, bounces=1, gather_resolution=4, **kept), tmp_path)
+    relighter = Relighter.open(tmp_path)
+    assert any(block.emitted is not None for block in relighter.transport.blocks)
+    skies = [jr.environment(SKY), jr.environment(SKY, rotate_y=70)]
+    many = relighter.light_many(skies)
+    for i, sky in enumerate(skies):
+        for found, wanted in zip(many, relighter.light(sky), strict=True):
+            np.testing.assert_allclose(found[i], wanted, rtol=1e-5, atol=1e-5)
 
 
 def test_light_may_be_traced_first(relighter: Relighter):

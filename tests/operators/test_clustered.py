@@ -5,7 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight.operators.clustered import Cluster, as_clusters, cluster, clustered, quantised_clusters
+from jaxrelight.operators.clustered import (
+    _TOGETHER,
+    Cluster,
+    as_clusters,
+    cluster,
+    clustered,
+    quantised_clusters,
+)
 from jaxrelight.operators.sparse_rows import sparse_rows
 
 D = 96  # texels of a 6×4² cube map
@@ -105,13 +112,34 @@ def test_every_column_has_all_its_holders_once():
     np.testing.assert_array_equal(count, sum(np.bincount(one.support, minlength=1536) for one in clusters))
 
 
-@pytest.mark.parametrize("bits", [None, 8])
-def test_many_lights_are_columns_of_one(bits):
-    operator = clustered(of_sizes([(96, 8), (0, 0), (200, 30)]), 1536)
-    operator = quantised_clusters(operator, bits) if bits else operator
-    lights = random(1536, 20)
-    each = np.concatenate([operator.apply(lights[:, i : i + 1]) for i in range(20)], axis=1)
-    assert relative(operator.apply(lights), each) < 1e-6
+@pytest.mark.parametrize(("channels", "bits"), [(1, None), (3, None), (1, 8)])
+@pytest.mark.parametrize("groups", [1, _TOGETHER, _TOGETHER + 1])
+def test_many_lights_reach_every_group_once(channels, groups, bits):
+    """However many groups of a bucket are a step's; groups that hold nothing, and filling, are black."""
+    operator = clustered(of_sizes([(96, 8), (0, 0), *[(90, 7)] * (groups - 1)], channels), 1536)
+    assert [len(part.groups) for part in operator.buckets] == [groups]
+    operator = (quantised_clusters(operator, bits) if bits else operator).with_filling(groups + 3)
+    lights = random(5, 1536, 3)
+    each = np.stack([operator.apply(light) for light in lights])
+    many = np.asarray(operator.apply_many(lights))
+    assert relative(many, each) < 1e-6
+    rows = many.reshape(5, groups + 3, 4, 3)
+    assert not rows[:, [1, -2, -1]].any()
+    assert rows[:, [0, *range(2, groups + 1)]].any(axis=(0, 2, 3)).all()
+
+
+def test_many_lights_of_several_buckets():
+    operator = clustered(of_sizes([(96, 8), (1400, 200), (0, 0), (90, 7), (1400, 190)], c=3), 1536)
+    assert [part.groups.tolist() for part in operator.buckets] == [[0, 3], [1, 4]]
+    lights = random(2, 1536, 3)
+    assert relative(operator.apply_many(lights), np.stack([operator.apply(light) for light in lights])) < 1e-6
+
+
+def test_light_has_the_channels_of_the_rows():
+    operator = clustered(of_sizes([(96, 8)], c=3), 1536)
+    for found in (operator.apply, lambda light: operator.apply_many(light[None])):
+        with pytest.raises(ValueError, match="light has 2 channels, the operator 3"):
+            found(random(1536, 2))
 
 
 def test_eight_bits_are_near_and_small():

@@ -17,7 +17,7 @@ from jaxrelight.operators.clustered import Clustered, cluster, clustered, quanti
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.quantised import decoded, quantised
-from jaxrelight.operators.sparse_rows import _BLOCK, SparseRows, smallest_index_type, sparse_rows
+from jaxrelight.operators.sparse_rows import _BLOCK, _FEW, _MANY, SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
@@ -234,12 +234,20 @@ def test_jit_does_not_retrace_for_other_values(name):
     np.testing.assert_allclose(first[0], call("apply", operator, light), rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("count", [1, 3, _MANY])
 @pytest.mark.parametrize("name", SMALL)
-def test_vmap_over_light(name):
-    operator, _ = case(name)
-    lights = random(3, operator.shape[1], 3)
+def test_many_lights_are_each_by_itself(name, count):
+    operator, matrix = case(name)
+    r, d, _ = operator.shape
+    lights = random(count, d, 3)
     each = np.stack([call("apply", operator, light) for light in lights])
     np.testing.assert_allclose(jax.jit(jax.vmap(operator.apply))(lights), each, rtol=1e-5, atol=1e-5)
+    many = call("apply_many", operator, lights)
+    assert many.shape == (count, r, 3)
+    assert many.dtype == np.float32
+    np.testing.assert_allclose(many, each, rtol=1e-5, atol=1e-5)
+    matrix = np.broadcast_to(matrix, (r, 3, d))
+    assert relative(many, np.einsum("rcd,ndc->nrc", matrix, np.asarray(lights, float))) < 1e-6
 
 
 @pytest.mark.parametrize("name", PYTREES)
@@ -257,8 +265,13 @@ def test_gradients_in_light_and_values(x64, name):
     def back(values, radiance):
         return eqx.combine(values, rest).transpose(radiance)
 
+    @jax.jit
+    def many(values, lights):
+        return eqx.combine(values, rest).apply_many(lights)
+
     check_grads(forward, (values, light), 1, ["fwd", "rev"])
     check_grads(back, (values, radiance), 1, ["fwd", "rev"])
+    check_grads(many, (values, random(_MANY, d, 3, dtype=np.float64)), 1, ["rev"])
     _, pull = jax.vjp(forward, values, light)
     np.testing.assert_allclose(pull(radiance)[1], back(values, radiance), rtol=1e-12, atol=1e-12)
 
@@ -304,6 +317,25 @@ def test_blocks_are_few_and_hardly_filled_up(rows):
     blocks, size, _ = operator.indices.shape
     assert blocks == -(-rows // _BLOCK)
     assert 0 <= blocks * size - rows < blocks
+
+
+@pytest.mark.parametrize(("c", "bits"), [(1, None), (3, None), (3, 8)])
+@pytest.mark.parametrize("rows", [_FEW, 3 * _FEW + 5])
+def test_many_lights_reach_every_row(rows, c, bits):
+    """However many rows are a step's."""
+    operator, matrix = sparse(rows, c, np.float32, bits=bits)
+    lights = random(_MANY, D, 3)
+    wanted = np.einsum("rcd,ndc->nrc", np.broadcast_to(matrix, (rows, 3, D)), np.asarray(lights, float))
+    assert relative(call("apply_many", operator, lights), wanted) < 1e-6
+
+
+@pytest.mark.parametrize("count", [1, _MANY])
+def test_light_has_the_channels_of_the_rows(count):
+    operator, _ = case("sparse")
+    with pytest.raises(ValueError, match="light has 2 channels, the operator 3"):
+        operator.apply(random(D, 2))
+    with pytest.raises(ValueError, match="light has 2 channels, the operator 3"):
+        operator.apply_many(random(count, D, 2))
 
 
 @pytest.mark.parametrize(("columns", "dtype"), [(96, np.uint16), (2**16, np.uint16), (2**16 + 1, np.uint32)])
