@@ -11,10 +11,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.lights.sun import MOST
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.load import Block, Transport, frames_of
+from jaxrelight.transport.load import Block, Transport
 
 # Receivers whose terms are made at a time.
 _TOGETHER = 1024
@@ -37,8 +39,8 @@ def sun_terms(
     traced = np.arange(6 * (n * s) ** 2).reshape(6, n, s, n, s).swapaxes(2, 3).reshape(-1, s * s)[texels[lit]].ravel()
     directions = cubemap.directions(n * s)[traced]
     irradiance = np.repeat(radiance[lit], s * s, axis=0) * cubemap.solid_angles(n * s)[traced, None]
-    # Few lengths; directions that fill up are lit by nothing.
-    length = 1 << (len(traced) - 1).bit_length()
+    # One length for all suns; directions that fill up are lit by nothing.
+    length = MOST * s * s
     vectors = np.pad(directions, ((0, length - len(traced)), (0, 0))).astype(np.float32)
     vectors[len(traced) :, 2] = 1
     energy = np.pad(irradiance, ((0, length - len(traced)), (0, 0))).astype(np.float32)
@@ -78,13 +80,16 @@ def _of_block(transport: Transport, block: Block, visible, vectors, energy) -> F
         return np.pad(flat, ((0, more), *[(0, 0)] * (flat.ndim - 1)), mode="edge")
 
     own, shared = eqx.partition(block.reflection, block.reflection.per_receiver)
-    frames = filled(frames_of(transport.receivers, block.groups))
-    return _terms(frames, np.pad(visible, ((0, more), (0, 0))), jax.tree.map(filled, own), shared, vectors, energy)
+    axes = [filled(axis[block.groups]) for axis in (transport.receivers.normals, transport.receivers.tangents)]
+    normals, tangents = (axis.astype(np.float32) for axis in axes)
+    seen = np.pad(visible, ((0, more), (0, 0)))
+    return _terms(normals, tangents, seen, jax.tree.map(filled, own), shared, vectors, energy)
 
 
 @jax.jit
 def _terms(
-    frames: Float[Array, "v 3 3"],
+    normals: Float[Array, "v 3"],
+    tangents: Float[Array, "v 3"],
     visible: Bool[Array, "v f"],
     own: Reflection,
     shared: Reflection,
@@ -92,10 +97,10 @@ def _terms(
     energy: Float[Array, "f c"],
 ) -> Float[Array, "v k c"]:
     def receiver(arguments):
-        frame, visible, own = arguments
-        local = jnp.matmul(frame, vectors.T, precision="highest")
+        normal, tangent, visible, own = arguments
+        local = jnp.matmul(tangent_frame(normal, tangent), vectors.T, precision="highest")
         light_side = jax.vmap(eqx.combine(own, shared).light_side, in_axes=1)(local)
         arriving = (jnp.maximum(local[2], 0) * visible)[:, None] * energy
         return jnp.sum(light_side * arriving[:, None], axis=0)
 
-    return jax.lax.map(receiver, (frames, visible, own), batch_size=_TOGETHER)
+    return jax.lax.map(receiver, (normals, tangents, visible, own), batch_size=_TOGETHER)

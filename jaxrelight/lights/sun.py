@@ -47,5 +47,5 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     bright = (top > BRIGHTER**2 * limit) & (top > 0)
     is_sun = jnp.sum(jnp.where(bright, top, 0)) >= SHARE * jnp.sum(energy)
     stays = jnp.where(bright & is_sun, jnp.sqrt(limit / jnp.where(bright, top, 1)), 1.0)[:, None]
-    rest = texels.at[index].multiply(stays)
-    return Split(rest, index, texels[index] - rest[index])
+    # A product, not a difference: exactly 0 where all stays, however XLA may round.
+    return Split(texels.at[index].multiply(stays), index, texels[index] * (1 - stays))

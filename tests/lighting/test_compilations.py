@@ -10,7 +10,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Part, Relighter, Scene, Settings
 
-SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)))
+SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
 SETTINGS = Settings(resolution=8, terms=2, coefficients=24, factor_resolution=8)
 
@@ -68,6 +68,23 @@ def test_another_view_light_and_turn_compile_nothing(tmp_path):
         second = relighter.image(brighter, relighter.view(dataclasses.replace(CAMERA, origin=(-1.0, 1.2, 2.0))))
     assert not compiled
     assert np.abs(first - second).max() > 0.1
+
+
+def test_another_sun_compiles_nothing(tmp_path):
+    """Of however many texels: turned, it lies in more of them."""
+    made = jr.precompute(_scene(13, 30), SETTINGS, tmp_path)
+    relighter = Relighter(jr.load(made.folder, made.header))
+
+    def light(rows: int, turn: float):
+        pixels = SKY.pixels.copy()
+        pixels[1 : 1 + rows, 3] = 1e4
+        return np.asarray(relighter.light(jr.environment(pixels, rotate_y=turn))[0])
+
+    first = light(1, 0.0)
+    with _compilations() as compiled:
+        second = light(2, 7.0)
+    assert not compiled
+    assert np.abs(first - second).max() > 1
 
 
 def test_opening_the_store_again_compiles_nothing(tmp_path):
