@@ -1,6 +1,7 @@
 """Operators whose rows lie on several devices, of one process or of many."""
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -168,8 +169,8 @@ def _placed(
         return jax.make_array_from_callback(x.shape, layout, lambda index: x[index])
 
     split, whole = _layouts(mesh)
-    shards, groups = jax.tree.map(lambda x: put(x, split), (shards, groups))
-    return Sharded(shards, groups, put(place[:g], whole), m, *operator.shape, mesh)
+    parts = jax.tree.map(lambda x: put(x, split), (shards, groups))
+    return Sharded(*parts, put(place[:g], whole), m, *operator.shape, mesh)
 
 
 def _split_rows(operator: SparseRows, devices: int) -> tuple[SparseRows, Int[np.ndarray, "p 1"], int, int]:
@@ -200,7 +201,7 @@ def _split_clusters(operator: Clustered, devices: int) -> tuple[Clustered, Int[n
             padding = [(0, devices * b - len(x))] + [(0, 0)] * (x.ndim - 1)
             return np.pad(x, padding, constant_values=filling).reshape(devices, b, *x.shape[1:])
 
-        own = np.broadcast_to(np.arange(start, start + b, dtype=np.int32), (devices, b))
+        own: Any = np.broadcast_to(np.arange(start, start + b, dtype=np.int32), (devices, b))
         support, basis, weights = jax.tree.map(dealt, (part.support, part.basis, part.weights))
         buckets.append(Bucket(own, support, basis, weights))
         groups.append(dealt(part.groups, filling=g))
@@ -216,7 +217,7 @@ def _split_clusters(operator: Clustered, devices: int) -> tuple[Clustered, Int[n
     most = np.max([count_holders(own, columns) for own in held], axis=0)
     found = [find_holders(own, columns, most) for own in held]
     holders, column_place = jax.tree.map(lambda *own: np.stack(own), *found)
-    place = np.broadcast_to(np.arange(start, dtype=np.int32), (devices, start))
+    place: Any = np.broadcast_to(np.arange(start, dtype=np.int32), (devices, start))
     m = operator.group_rows
     shards = Clustered(tuple(buckets), place, holders, column_place, m, operator.channels, columns)
     return shards, np.concatenate(groups, axis=1), g, m
