@@ -282,7 +282,7 @@ def clustered(clusters: Sequence[Cluster], columns: int) -> Clustered:
         buckets.append(Bucket(*jax.device_put((np.array(sorted(groups), np.int32), support, basis, weights))))
         start += b
     place[place < 0] = start
-    holders, column_place = _holders(np.concatenate([np.zeros(0, int), *held]), columns)
+    holders, column_place = find_holders(np.concatenate([np.zeros(0, int), *held]), columns)
     place, holders, column_place = jax.device_put((place, holders, column_place))
     return Clustered(tuple(buckets), place, holders, column_place, r, c, columns)
 
@@ -331,19 +331,31 @@ def _joined(members: dict[tuple[int, int], list[int]], width: int) -> dict[tuple
     return members
 
 
-def _holders(
-    held: Int[np.ndarray, " e"], columns: int
+def count_holders(held: Int[np.ndarray, " e"], columns: int) -> Int[np.ndarray, " d"]:
+    """How many hold each column, from the column of every place; `columns` where it is filling."""
+    return np.bincount(held, minlength=columns)[:columns]
+
+
+def find_holders(
+    held: Int[np.ndarray, " e"], columns: int, most: Int[np.ndarray, " d"] | None = None
 ) -> tuple[tuple[Int[np.ndarray, "_ _"], ...], Int[np.ndarray, " d"]]:
-    """`Clustered.holders` and `column_place`, from the column of every place; `columns` where it is filling."""
+    """`Clustered.holders` and `column_place`.
+
+    Args:
+        held: the column of every place; `columns` where it is filling.
+        columns: d.
+        most: no column has more holders than this, which alone decides on shapes; by default as many as it has.
+    """
     order = np.argsort(held, kind="stable").astype(np.int32)
-    count = np.bincount(held, minlength=columns)[:columns]
+    count = count_holders(held, columns)
+    most = count if most is None else most
     first = np.cumsum(count) - count
     # Arrays are as wide as the next power of two of their columns' counts.
-    width = np.where(count > 0, 1 << np.ceil(np.log2(np.maximum(count, 1))).astype(int), 0)
+    width = np.where(most > 0, 1 << np.ceil(np.log2(np.maximum(most, 1))).astype(int), 0)
     holders, column_place, start = [], np.full(columns, -1, np.int32), 0
     for n in np.unique(width[width > 0]):
         mine = np.flatnonzero(width == n)
-        nth = np.arange(count[mine].max())
+        nth = np.arange(most[mine].max())
         places = order[np.minimum(first[mine, None] + nth, len(held) - 1)]
         holders.append(np.where(nth < count[mine, None], places, np.int32(len(held))))
         column_place[mine] = start + np.arange(len(mine))
