@@ -169,8 +169,8 @@ def _placed(
         return jax.make_array_from_callback(x.shape, layout, lambda index: x[index])
 
     split, whole = _layouts(mesh)
-    parts = jax.tree.map(lambda x: put(x, split), (shards, groups))
-    return Sharded(*parts, put(place[:g], whole), m, *operator.shape, mesh)
+    shards = jax.tree.map(lambda x: put(x, split), shards)
+    return Sharded(shards, put(groups, split), put(place[:g], whole), m, *operator.shape, mesh)
 
 
 def _split_rows(operator: SparseRows, devices: int) -> tuple[SparseRows, Int[np.ndarray, "p 1"], int, int]:
