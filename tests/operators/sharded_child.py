@@ -64,6 +64,9 @@ CASES: dict[str, Callable[[], Operator]] = {
     "stacked": lambda: Stacked((rows(101, 1, 8), rows(7, 3))),
 }
 
+# Those for several processes; the first joins results outside of any program that the caller compiles.
+TOGETHER = "stacked", "clusters in 8 bits, grey"
+
 
 @jax.jit
 def answers(operator: Operator) -> dict[str, jax.Array]:
@@ -133,7 +136,7 @@ def main(devices: str, address: str | None = None, processes: str = "1", process
         jax.distributed.initialize(address, int(processes), int(process), initialization_timeout=60)
     assert jax.device_count() == int(devices) * int(processes)
     mesh = Mesh(np.array(jax.devices()), ("groups",))
-    for name in CASES if address is None else ("rows", "clusters in 8 bits, grey"):
+    for name in CASES if address is None else TOGETHER:
         whole = CASES[name]()
         check(whole, mesh)
         if address is None and name not in ("fewer rows than devices", "stacked"):
