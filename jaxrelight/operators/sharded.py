@@ -169,8 +169,8 @@ def _placed(
         return jax.make_array_from_callback(x.shape, layout, lambda index: x[index])
 
     split, whole = _layouts(mesh)
-    parts = jax.tree.map(lambda x: put(x, split), (shards, groups))
-    return Sharded(*parts, put(place[:g], whole), m, *operator.shape, mesh)
+    shards = jax.tree.map(lambda x: put(x, split), shards)
+    return Sharded(shards, put(groups, split), put(place[:g], whole), m, *operator.shape, mesh)
 
 
 def _split_rows(operator: SparseRows, devices: int) -> tuple[SparseRows, Int[np.ndarray, "p 1"], int, int]:
@@ -205,10 +205,9 @@ def _split_clusters(operator: Clustered, devices: int) -> tuple[Clustered, Int[n
         support, basis, weights = jax.tree.map(dealt, (part.support, part.basis, part.weights))
         buckets.append(Bucket(own, support, basis, weights))
         groups.append(dealt(part.groups, filling=g))
-        # Supports are ascending, then filled up with zeros.
+        # Supports are ascending, then filled up with zeros; filling is of no column.
         real = (support > 0) | (np.arange(support.shape[-1]) == 0)
-        column = np.where(real & (groups[-1][..., None] < g), support, columns)
-        held.append(column.reshape(devices, -1))
+        held.append(np.where(real, support, columns).reshape(devices, -1))
         start += b
     if not buckets:
         groups, start = [np.full((devices, 1), g, np.int32)], 1
