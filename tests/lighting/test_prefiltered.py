@@ -270,7 +270,7 @@ def test_exponents_and_peaks_at_the_extremes_are_finite():
             assert np.isfinite(seen.lit_by([directional([0, -1, 0], 1)])).all()
 
 
-@pytest.mark.parametrize("texels", ["parameters", "reflectance"])
+@pytest.mark.parametrize("texels", ["parameters", pytest.param("reflectance", marks=pytest.mark.slow)])
 def test_texels_smaller_than_pixels_are_seen_at_coarser_levels(texels):
     """A black map of grey levels, and a black texture of white ones: only who asks for levels sees anything."""
     sizes = [2**n for n in range(8, -1, -1)]

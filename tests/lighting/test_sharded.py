@@ -39,6 +39,7 @@ for operator in "clusters", "rows":
 """
 
 
+@pytest.mark.slow
 def test_light_on_four_devices_is_that_on_one(tmp_path):
     """Light terms, pictures and gradients."""
     environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=4", "JAX_PLATFORMS": "cpu"}

@@ -124,7 +124,7 @@ def test_many_lights_are_each_by_itself(relighter: Relighter):
     assert _relative(many[0][1], many[0][0]) > 0.1
 
 
-@pytest.mark.parametrize("way", ["clusters", "all"])
+@pytest.mark.parametrize("way", ["clusters", pytest.param("all", marks=pytest.mark.slow)])
 def test_many_lights_where_surfaces_emit(tmp_path, way: str):
     """What bounces add is added to each: to clusters, and to rows that are baked as they are needed."""
     lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))

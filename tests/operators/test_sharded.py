@@ -41,7 +41,7 @@ def _finish(*children: subprocess.Popen) -> list[str]:
     return [output for output, _ in said]
 
 
-@pytest.mark.parametrize("name", ["rows in 8 bits, grey", "stacked"])
+@pytest.mark.parametrize("name", [pytest.param("rows in 8 bits, grey", marks=pytest.mark.slow), "stacked"])
 def test_one_device(name):
     check(CASES[name](), _mesh())
 
@@ -51,6 +51,7 @@ def test_four_devices():
     assert output.splitlines() == list(CASES)
 
 
+@pytest.mark.slow
 def test_two_processes_of_two_devices():
     with socket.socket() as held:
         # Held without listening, so that nobody else is given the port until the first process listens at it.
@@ -85,6 +86,7 @@ class _Reversed(eqx.Module):
         return coefficients[..., ::-1]
 
 
+@pytest.mark.slow
 def test_sums_and_operators_in_a_basis_are_spread_by_parts():
     whole = Summed((rows(200, 1), InBasis(clusters(3), _Reversed())))
     operator = sharded(whole, _mesh())

@@ -142,7 +142,9 @@ def test_each_side_is_seen_by_what_is_before_it(tmp_path):
         assert (found.max() > 0.1) == is_seen
 
 
-@pytest.mark.parametrize(("operator", "nearest"), [("rows", True), ("clusters", False)])
+@pytest.mark.parametrize(
+    ("operator", "nearest"), [pytest.param("rows", True, marks=pytest.mark.slow), ("clusters", False)]
+)
 def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, operator, nearest):
     """G (T x) = (G T) x, for glossy and diffuse receivers and what they see of both; rows with all coefficients."""
     transport = direct
