@@ -11,6 +11,8 @@ CHILD = """
 import dataclasses, sys
 import jax, numpy as np
 import jaxrelight as jr
+
+import pytest
 from jaxrelight.operators.sharded import sharded
 
 parts = [jr.Part(jr.plane((2, 2), 4), "paper"), jr.Part(jr.sphere(0.35, 4), "wall")]
