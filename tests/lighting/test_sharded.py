@@ -5,6 +5,8 @@ import pathlib
 import subprocess
 import sys
 
+import pytest
+
 ROOT = pathlib.Path(__file__).parents[2]
 
 CHILD = """
@@ -12,7 +14,6 @@ import dataclasses, sys
 import jax, numpy as np
 import jaxrelight as jr
 
-import pytest
 from jaxrelight.operators.sharded import sharded
 
 parts = [jr.Part(jr.plane((2, 2), 4), "paper"), jr.Part(jr.sphere(0.35, 4), "wall")]
