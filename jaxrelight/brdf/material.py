@@ -83,11 +83,11 @@ def in_grey(material: Material) -> Material:
             continue
         assert isinstance(brdf, LobeSum)
         if np.any(np.asarray(brdf.diffuse)):
-            parts.append(Component(white_lambert(), (constant(brdf.diffuse), *component.weight)))
+            parts.append(Component(white_lambert(), (constant(brdf.diffuse, brdf.diffuse.dtype), *component.weight)))
         strongest = int(np.argmax(np.abs(tint)))
         scale = brdf.scale[:, strongest, None] / tint[strongest]
         grey = LobeSum(jnp.zeros(1, brdf.scale.dtype), brdf.C, brdf.exponent, scale, brdf.turn)
-        parts.append(Component(grey, (constant(tint), *component.weight)))
+        parts.append(Component(grey, (constant(tint, brdf.scale.dtype), *component.weight)))
     return dataclasses.replace(material, components=tuple(parts))
 
 

@@ -31,16 +31,16 @@ class PrecomputeOptions:
     factor_resolution: int = 48
     """Side of the maps of a glossy material's factors."""
     operator: Literal["rows", "clusters"] = "rows"
-    """How transport is compressed: 'rows' keep --coefficients each; 'clusters' of near receivers share a few rows,
-    which are smaller and quicker at the same error."""
+    """How direct light is compressed: 'rows' keep --coefficients each; 'clusters' of near receivers share a few rows,
+    which are smaller and quicker at the same error. Bounced light is always in clusters."""
     tolerance: float = 0.02
     """What clusters may leave out, relative to a group's radiance under natural light; and how much light further
     bounces may add before they are left out."""
     bits: Literal[8, 16, 32] = 32
     """Of every number of compressed transport: 8 take a third of the bytes, and add less than what is left out."""
     bounces: int = 0
-    """How often light is reflected at most on its way from the first surface to the last. Each takes about as long as
-    the direct light; relighting costs no more."""
+    """How often light is reflected at most on its way from the first surface to the last. Each takes minutes where
+    many surfaces see each other; relighting costs little more."""
     gather_resolution: int = 32
     """Side of the six faces of the cube map that receivers look around with for bounced light."""
     gather: Literal["barycentric", "nearest"] = "barycentric"

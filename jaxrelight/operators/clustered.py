@@ -95,22 +95,27 @@ class Clustered(Operator):
 
     def supports(self) -> list[Int[np.ndarray, " s"]]:
         """The coefficients of each group, on the host; none where it holds nothing."""
-        return [one.support for one in self.clusters()]
+        found: list[np.ndarray] = [np.zeros(0, int)] * len(self.place)
+        for part in self.buckets:
+            for group, support in zip(np.asarray(part.groups), np.asarray(part.support), strict=True):
+                # Ascending, then filled up with zeros.
+                found[group] = support[: 1 + np.count_nonzero(support[1:])].astype(int)
+        return found
 
     def clusters(self) -> list[Cluster]:
         """Each group by itself, on the host, in floating point and without filling."""
         nothing = np.zeros((0, 0), np.float32), np.zeros((self.channels, 0, self.group_rows), np.float32)
-        found = [Cluster(np.zeros(0, int), *nothing)] * len(self.place)
+        supports = self.supports()
+        found = [Cluster(support, *nothing) for support in supports]
         for part in self.buckets:
             basis, weights = (
                 np.asarray(_basis_of(part, jnp.arange(len(part.groups)))),
                 np.asarray(decoded(part.weights)),
             )
-            for i, (group, support) in enumerate(zip(np.asarray(part.groups), np.asarray(part.support), strict=True)):
-                # Ascending, then filled up with zeros.
-                s = 1 + np.count_nonzero(support[1:])
-                used = basis[i, :, :s].any(axis=1)
-                found[group] = Cluster(support[:s].astype(int), basis[i, used, :s], weights[i][:, used])
+            for i, group in enumerate(np.asarray(part.groups)):
+                mine = basis[i, :, : len(supports[group])]
+                used = mine.any(axis=1)
+                found[group] = Cluster(supports[group], mine[used], weights[i][:, used])
         return found
 
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:

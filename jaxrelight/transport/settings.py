@@ -18,7 +18,8 @@ class Settings:
         coefficients: wavelet coefficients kept in each row, or "all": nothing is compressed, rows are baked from the
             stored visibility at every change of light.
         factor_resolution: side of the maps of BRDF factors.
-        operator: "rows" keep `coefficients` each; "clusters" of near receivers share as few rows as `tolerance` allows.
+        operator: of direct light, "rows" keep `coefficients` each; "clusters" of near receivers share as few rows as
+            `tolerance` allows. Bounced light is always in clusters.
         tolerance: largest error that may be left in the radiance of a group under natural light, relative to its
             root-mean-square.
         bits: of every number of compressed rows: 32 (floating point), or codes of 16 or 8 (Wang 2006 §4.1.2).
