@@ -26,15 +26,14 @@ class PrecomputeOptions:
     terms: int = 4
     """Factors of a glossy material where receivers are vertices. Glossier materials need more; time and bytes grow
     with them. Diffuse materials always have 1."""
-    coefficients: int | Literal["all"] = 128
-    """Wavelet coefficients kept for each row of transport; 'all' compresses nothing: exact, but slow to relight."""
+    coefficients: int | Literal["shared", "all"] = "shared"
+    """How direct light is kept: 'shared' between near receivers, a few rows over a few wavelet coefficients, as many as
+    --tolerance asks for; a number of coefficients for each row; or 'all': exact, but slow to relight. Bounced light is
+    always shared."""
     factor_resolution: int = 48
     """Side of the maps of a glossy material's factors."""
-    operator: Literal["rows", "clusters"] = "rows"
-    """How direct light is compressed: 'rows' keep --coefficients each; 'clusters' of near receivers share a few rows,
-    which are smaller and quicker at the same error. Bounced light is always in clusters."""
     tolerance: float = 0.02
-    """What clusters may leave out, relative to a group's radiance under natural light; and how much light further
+    """What shared rows may leave out, relative to a group's radiance under natural light; and how much light further
     bounces may add before they are left out."""
     bits: Literal[8, 16, 32] = 32
     """Of every number of compressed transport: 8 take a third of the bytes, and add less than what is left out."""
@@ -57,7 +56,6 @@ class PrecomputeOptions:
             self.terms,
             self.coefficients,
             self.factor_resolution,
-            self.operator,
             self.tolerance,
             self.bits,
             self.bounces,

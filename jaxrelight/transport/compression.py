@@ -33,7 +33,7 @@ class Opened(NamedTuple):
 
 def compression(settings: Settings) -> "Rows | Clusters":
     """What the settings ask for, of direct light."""
-    return Clusters(settings) if settings.operator == "clusters" else Rows(settings)
+    return Clusters(settings) if settings.coefficients == "shared" else Rows(settings)
 
 
 def padded_receivers(count: int) -> int:

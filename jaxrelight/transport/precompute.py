@@ -101,7 +101,7 @@ def _of_pass(settings: Settings, bounces: int) -> Settings:
     """Those of the light that the next pass is gathered from."""
     compressed = settings
     if settings.coefficients == "all":
-        compressed = dataclasses.replace(settings, operator="clusters", coefficients=1)
+        compressed = dataclasses.replace(settings, coefficients="shared")
     return dataclasses.replace(compressed, receivers="vertices", bounces=bounces)
 
 

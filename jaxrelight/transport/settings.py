@@ -15,11 +15,10 @@ class Settings:
         resolution: side of the six faces of the cube map that light is given on; a power of two.
         visibility_samples: rays a texel; a square number. Transport is averaged over them.
         terms: factors of a BRDF that depends on direction, for vertices; a diffuse one always has 1.
-        coefficients: wavelet coefficients kept in each row, or "all": nothing is compressed, rows are baked from the
-            stored visibility at every change of light.
+        coefficients: how direct light is kept: "shared": near receivers share as few rows over as few wavelet
+            coefficients as `tolerance` allows; a number: so many in each row (Wang 2006 §4.1); "all": nothing is
+            compressed, rows are baked from the stored visibility at every change of light. Bounced light is shared.
         factor_resolution: side of the maps of BRDF factors.
-        operator: of direct light, "rows" keep `coefficients` each; "clusters" of near receivers share as few rows as
-            `tolerance` allows. Bounced light is always in clusters.
         tolerance: largest error that may be left in the radiance of a group under natural light, relative to its
             root-mean-square.
         bits: of every number of compressed rows: 32 (floating point), or codes of 16 or 8 (Wang 2006 §4.1.2).
@@ -34,9 +33,8 @@ class Settings:
     resolution: int = 64
     visibility_samples: int = 1
     terms: int = 4
-    coefficients: int | Literal["all"] = 128
+    coefficients: int | Literal["shared", "all"] = "shared"
     factor_resolution: int = 48
-    operator: Literal["rows", "clusters"] = "rows"
     tolerance: float = 0.02
     bits: Literal[8, 16, 32] = 32
     bounces: int = 0
@@ -61,7 +59,6 @@ class Settings:
         require(self.terms >= 1, f"terms are {self.terms}; at least 1 is needed")
         side = self.factor_resolution
         require(4 <= side <= 128, f"factor resolution is {side}; it must be from 4 to 128")
-        require(self.operator in ("rows", "clusters"), f"operator is 'rows' or 'clusters', not '{self.operator}'")
         real = isinstance(self.tolerance, (int, float)) and not isinstance(self.tolerance, bool)
         require(
             real and 0 <= self.tolerance < 1,
@@ -72,11 +69,12 @@ class Settings:
         side = self.gather_resolution
         require(4 <= side <= 256 and side % 2 == 0, f"gather resolution is {side}; it must be even, from 4 to 256")
         require(self.gather in ("barycentric", "nearest"), f"gather is 'barycentric' or 'nearest', not '{self.gather}'")
-        if self.coefficients != "all" and self.operator == "rows":
+        if self.coefficients not in ("shared", "all"):
             limit = 6 * n * n
             require(
                 type(self.coefficients) is int and 1 <= self.coefficients <= limit,
-                f"coefficients are {self.coefficients}; from 1 to {limit:,} can be kept at resolution {n}, or 'all'",
+                f"coefficients are {self.coefficients}; from 1 to {limit:,} can be kept at resolution {n}, or they are "
+                "'shared' or 'all'",
             )
 
     @property

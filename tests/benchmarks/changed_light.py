@@ -42,18 +42,20 @@ def main():
         report = stack.enter_context(
             Report("changed_light", "Small changes of light, many lights, and light in 16 bits", parameters, not quick)
         )
-        relighters = {way: _relighter(folder / way, way, resolution) for way in ("clusters", "rows")}
+        ways = {"clusters": "shared", "rows": 128}
+        relighters = {way: _relighter(folder / way, kept, resolution) for way, kept in ways.items()}
         changes(report, relighters["clusters"], runs)
         many(report, relighters, (2, 8) if quick else (2, 8, 64), max(runs // 6, 3))
         sixteen_bits(report, relighters, runs)
         report.speed()
 
 
-def _relighter(folder: pathlib.Path, way: str, resolution: int):
+def _relighter(folder: pathlib.Path, coefficients, resolution: int):
     from jaxrelight import Relighter, Settings, load_scene, precompute
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    return Relighter.open(precompute(scene, Settings(resolution=resolution, operator=way), folder).folder)
+    settings = Settings(resolution=resolution, coefficients=coefficients)
+    return Relighter.open(precompute(scene, settings, folder).folder)
 
 
 # Changes of light

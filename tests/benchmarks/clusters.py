@@ -397,7 +397,7 @@ def speed(report: Report, scene, terms: int, tolerance: float, one: Sample, fold
     from jaxrelight import Settings, load, precompute
     from jaxrelight.operators.clustered import Clustered, quantised_clusters
 
-    settings = Settings(terms=terms, resolution=RESOLUTION, operator="clusters", tolerance=tolerance)
+    settings = Settings(terms=terms, resolution=RESOLUTION, tolerance=tolerance)
     made = precompute(scene, settings, folder)
     transport = load(made.folder, made.header, made.placed)
     _, operator = [one for one in transport.each if one[0].material == "object"][-1]

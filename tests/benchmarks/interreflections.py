@@ -14,11 +14,11 @@ from tests.benchmarks.pictures import contact_sheet
 
 MODULE = "tests.benchmarks.interreflections"
 PICTURE = pathlib.Path(__file__).with_name("interreflections.png")
-# Receivers, operator, coefficients, target of the trimmed error against the reference image.
+# Receivers, coefficients, target of the trimmed error against the reference image.
 REFERENCES = (
-    ("pixels", "clusters", "all", 0.02),
-    ("vertices", "rows", 128, 0.05),
-    ("vertices", "clusters", 128, 0.05),
+    ("pixels", "all", 0.02),
+    ("vertices", 128, 0.05),
+    ("vertices", "shared", 0.05),
 )
 GATHER = 8, 16, 24, 32, 64
 FINEST = 96
@@ -62,7 +62,7 @@ def box(report: Report, folder: pathlib.Path, resolution: int):
     scene = jr.Scene([jr.Part(inside, "wall")], {"wall": wall}, camera)
     dark, rows = jr.environment(np.zeros((4, 8, 3), np.float32)), []
     for bounces in (1, 2, 3, 4, 6, 8, 12):
-        settings = jr.Settings(resolution=4, operator="clusters", bounces=bounces, tolerance=0.0)
+        settings = jr.Settings(resolution=4, bounces=bounces, tolerance=0.0)
         relighter = jr.Relighter.open(jr.precompute(scene, settings, folder / "box").folder)
         image = relighter.image(dark, relighter.view())[..., :3]
         series = (1 - 0.5 ** (bounces + 1)) / 0.5
@@ -78,14 +78,12 @@ def references(report: Report, folder: pathlib.Path, resolution: int):
     import jaxrelight as jr
 
     scene, rows = jr.load_scene(shared("reference", "bunny_lambert.toml")), []
-    for receivers, operator, coefficients, target in REFERENCES:
+    for receivers, coefficients, target in REFERENCES:
         for bounces in (0, 1, 2):
-            settings = jr.Settings(
-                receivers, resolution, operator=operator, coefficients=coefficients, bounces=bounces, tolerance=0.02
-            )
+            settings = jr.Settings(receivers, resolution, coefficients=coefficients, bounces=bounces)
             image, made, _ = _lit(scene, settings, folder / "bunny")
             error = jr.image_error(image, jr.read_image(shared("reference", f"bunny_lambert_b{bounces}.exr")))
-            kept = "all" if coefficients == "all" else (f"N = {coefficients}" if operator == "rows" else operator)
+            kept = coefficients if isinstance(coefficients, str) else f"N = {coefficients}"
             passes = sum(seconds for stage, seconds in made.seconds.items() if stage.startswith("bounce"))
             row = [f"{receivers}, {kept}", made.header["settings"]["bounces"]]
             numbers = [percent(error.trimmed), percent(error.untrimmed), f"{error.mean_ratio:.4f}", percent(target)]
@@ -123,7 +121,7 @@ def _pass_of_the_bunny(folder: pathlib.Path, resolution: int):
     import jaxrelight as jr
 
     scene = jr.load_scene(shared("reference", "bunny_phong.toml"))
-    made = jr.precompute(scene, jr.Settings(resolution=resolution, operator="clusters", bounces=1), folder)
+    made = jr.precompute(scene, jr.Settings(resolution=resolution, bounces=1), folder)
     answer({"seconds": made.seconds, "receivers": made.receivers, "bytes": _held(made)})
 
 
@@ -145,7 +143,7 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
 
     def bounced(bounces: int = 1, **dials) -> tuple[np.ndarray, float, str]:
         """Bounced light alone, what the last bounce took, and how many coefficients and shared rows a group has."""
-        settings = jr.Settings("vertices", resolution, bounces=bounces, **{"operator": "clusters", **dials})
+        settings = jr.Settings("vertices", resolution, bounces=bounces, **dials)
         image, made, relighter = _lit(scene, settings, store)
         if bounces:
             transport = relighter.transport
@@ -194,7 +192,7 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
         image, seconds, sizes = bounced(1, tolerance=tolerance)
         rows.append([f"clusters, tolerance {tolerance}", sizes, *row(image, seconds)])
     for count in COEFFICIENTS:
-        image, seconds, sizes = bounced(1, operator="rows", coefficients=count)
+        image, seconds, sizes = bounced(1, coefficients=count)
         rows.append([f"direct light in rows, N = {count}", sizes, *row(image, seconds)])
     report.text(
         "**What is kept of each pass**, at 6×32²: error of bounced light alone, through that of the direct light that "

@@ -129,7 +129,7 @@ def child(path: pathlib.Path, resolution: int):
     start = time.perf_counter()
     scene = load_scene(path)
     read = time.perf_counter() - start
-    made = precompute(scene, Settings(resolution=resolution), path.with_suffix(""))
+    made = precompute(scene, Settings(resolution=resolution, coefficients=128), path.with_suffix(""))
     start = time.perf_counter()
     relighter = Relighter.open(made.folder)
     assert scene.environment is not None

@@ -42,7 +42,9 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, steps: int, p
     from jaxrelight.lights.environment import coarsened
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    relighter = Relighter.open(precompute(scene, Settings(resolution=resolution), folder / SCENE).folder)
+    relighter = Relighter.open(
+        precompute(scene, Settings(resolution=resolution, coefficients=128), folder / SCENE).folder
+    )
     exact, kept = rows(relighter.transport)
     lights = {
         "sunset": load_environment(shared("data", "env", "blender_sunset.exr")),

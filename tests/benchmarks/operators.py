@@ -16,11 +16,11 @@ from tests.benchmarks.mesh_size import PAPER
 MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply"}
 LIGHTS = ("pmndrs_venice.exr", "grace_latlong.exr", "blender_sunset.exr")
 DIRECT: dict[str, dict[str, Any]] = {
-    "rows, N = 128": {"operator": "rows"},
-    "rows, N = 128, 8 bits": {"operator": "rows", "bits": 8},
-    "clusters, 0.03": {"operator": "clusters", "tolerance": 0.03},
-    "clusters, 0.02": {"operator": "clusters", "tolerance": 0.02},
-    "clusters, 0.02, 8 bits": {"operator": "clusters", "tolerance": 0.02, "bits": 8},
+    "rows, N = 128": {"coefficients": 128},
+    "rows, N = 128, 8 bits": {"coefficients": 128, "bits": 8},
+    "clusters, 0.03": {"tolerance": 0.03},
+    "clusters, 0.02": {"tolerance": 0.02},
+    "clusters, 0.02, 8 bits": {"tolerance": 0.02, "bits": 8},
 }
 ONE_BOUNCE = ("clusters, 0.02", "clusters, 0.02, 8 bits")
 

@@ -192,7 +192,6 @@ def test_render_then_again(folder, run):
         "terms": 2,
         "coefficients": 16,
         "factor_resolution": 8,
-        "operator": "rows",
         "tolerance": 0.02,
         "bits": 32,
         "bounces": 0,

@@ -12,7 +12,7 @@ from tests.commands.running import DIALS, summary_of
 # Every key down to numbers and texts; `*` stands for names that the scene gives.
 SETTINGS = (
     *("receivers", "resolution", "visibility_samples", "terms", "coefficients", "factor_resolution"),
-    *("operator", "tolerance", "bits", "bounces", "gather_resolution", "gather"),
+    *("tolerance", "bits", "bounces", "gather_resolution", "gather"),
 )
 MADE = {"command", "store", "receivers", "operator_bytes", "kept_energy"}
 MADE |= {f"versions.{name}" for name in ("jaxrelight", "jax", "embreex")} | {f"settings.{name}" for name in SETTINGS}

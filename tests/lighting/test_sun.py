@@ -41,7 +41,7 @@ def _terms(relighter: Relighter, sky: jr.Environment) -> np.ndarray:
     [
         {},
         {"receivers": "pixels"},
-        {"operator": "clusters", "bits": 8},
+        {"coefficients": "shared", "bits": 8},
         pytest.param({"visibility_samples": 4}, marks=pytest.mark.slow),
     ],
     ids=str,
@@ -67,7 +67,7 @@ def test_a_sun_adds_no_error(tmp_path, change):
 
 def test_a_sun_bounces(tmp_path):
     """Bounced light of a sun is that of its coefficients: what the bounce adds is the same with it split off."""
-    settings = dataclasses.replace(SETTINGS, operator="clusters", tolerance=0.0)
+    settings = dataclasses.replace(SETTINGS, coefficients="shared", tolerance=0.0)
     pictures = []
     for bounces in (0, 1):
         made = jr.precompute(_scene(), dataclasses.replace(settings, bounces=bounces), tmp_path)

@@ -124,14 +124,14 @@ def test_many_lights_are_each_by_itself(relighter: Relighter):
     assert _relative(many[0][1], many[0][0]) > 0.1
 
 
-@pytest.mark.parametrize("way", ["clusters", pytest.param("all", marks=pytest.mark.slow)])
-def test_many_lights_where_surfaces_emit(tmp_path, way: str):
+@pytest.mark.parametrize("coefficients", ["shared", pytest.param("all", marks=pytest.mark.slow)])
+def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     """What bounces add is added to each: to clusters, and to rows that are baked as they are needed."""
     lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(_up(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
     scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
-    kept = {"coefficients": "all"} if way == "all" else {"operator": "clusters"}
-    jr.precompute(scene, Settings(resolution=4, bounces=1, gather_resolution=4, **kept), tmp_path)
+    settings = Settings(resolution=4, bounces=1, gather_resolution=4, coefficients=coefficients)
+    jr.precompute(scene, settings, tmp_path)
     relighter = Relighter.open(tmp_path)
     assert any(block.emitted is not None for block in relighter.transport.blocks)
     skies = [jr.environment(SKY), jr.environment(SKY, rotate_y=70)]

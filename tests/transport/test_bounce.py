@@ -15,9 +15,7 @@ from jaxrelight.demo_scene import demo_scene
 from jaxrelight.transport import bake, bounce
 from jaxrelight.transport.load import Transport, frames_of, load
 
-SMALL = Settings(
-    resolution=8, terms=2, factor_resolution=12, operator="clusters", tolerance=0.0, bounces=1, gather_resolution=8
-)
+SMALL = Settings(resolution=8, terms=2, factor_resolution=12, tolerance=0.0, bounces=1, gather_resolution=8)
 
 
 def emitting(albedo: float, radiance: float = 1.0) -> Material:
@@ -143,13 +141,13 @@ def test_each_side_is_seen_by_what_is_before_it(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("operator", "nearest"), [pytest.param("rows", True, marks=pytest.mark.slow), ("clusters", False)]
+    ("coefficients", "nearest"), [pytest.param(6 * 8**2, True, marks=pytest.mark.slow), ("shared", False)]
 )
-def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, operator, nearest):
+def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, coefficients, nearest):
     """G (T x) = (G T) x, for glossy and diffuse receivers and what they see of both; rows with all coefficients."""
     transport = direct
-    if operator == "rows":
-        settings = dataclasses.replace(SMALL, bounces=0, operator="rows", coefficients=6 * 8**2)
+    if coefficients != "shared":
+        settings = dataclasses.replace(SMALL, bounces=0, coefficients=coefficients)
         transport = opened(scene, settings, tmp_path_factory.mktemp("rows"))
     gather = bounce.Gather(transport, "key", 8, nearest)
     light = np.random.default_rng(0).normal(size=(6 * 8**2, 3)).astype(np.float32)
@@ -206,9 +204,7 @@ def test_an_even_sky_grows_no_brighter_than_albedo_allows(scene, direct, tmp_pat
     assert second.mean() < 0.5 * first.mean()
 
 
-@pytest.mark.parametrize(
-    "change", [{}, pytest.param({"operator": "rows", "coefficients": 6 * 8**2}, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("change", [{}, pytest.param({"coefficients": 6 * 8**2}, marks=pytest.mark.slow)])
 def test_pixels_gather_from_vertices(scene, tmp_path, change):
     """Exact direct light and the bounce of pixels, against the same that is compressed."""
     pictures = []

@@ -14,7 +14,7 @@ from jaxrelight.lights.natural_spectrum import natural_spectrum
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.transport.load import Transport, load
 
-SMALL = Settings(resolution=8, terms=2, factor_resolution=12, operator="clusters")
+SMALL = Settings(resolution=8, terms=2, factor_resolution=12)
 
 
 @pytest.fixture(scope="module")
@@ -119,10 +119,10 @@ def test_groups_that_no_light_reaches_hold_nothing(tmp_path):
     np.testing.assert_array_equal(black.apply(jnp.ones((6 * 8**2, 3))), 0)
 
 
-@pytest.mark.parametrize("operator", [pytest.param("rows", marks=pytest.mark.slow), "clusters"])
-def test_codes_are_near_and_small(scene, folder, operator):
+@pytest.mark.parametrize("coefficients", [pytest.param(64, marks=pytest.mark.slow), "shared"])
+def test_codes_are_near_and_small(scene, folder, coefficients):
     """In 16 bits the light is the same to 1e-3, in 8 to 2e-2; files, operators and the dropped energy tell it."""
-    dials = {"operator": operator, "coefficients": 64, "tolerance": 0.02}
+    dials = {"coefficients": coefficients, "tolerance": 0.02}
     light = jnp.asarray(np.random.default_rng(3).normal(size=(6 * 8**2, 3)) * natural_spectrum(8)[:, None], jnp.float32)
     whole = opened(scene, folder, **dials)
     wanted = [np.asarray(part) for part in Relighter(whole).terms(light)]

@@ -13,7 +13,7 @@ any_settings: Any = Settings
 
 def test_defaults():
     settings = Settings()
-    assert dataclasses.astuple(settings) == ("vertices", 64, 1, 4, 128, 48, "rows", 0.02, 32, 0, 32, "barycentric")
+    assert dataclasses.astuple(settings) == ("vertices", 64, 1, 4, "shared", 48, 0.02, 32, 0, 32, "barycentric")
     assert settings.samples_per_side == 1
 
 
@@ -27,6 +27,7 @@ def test_defaults():
         {"coefficients": 1},
         {"coefficients": 6 * 64**2},
         {"coefficients": "all"},
+        {"coefficients": "shared"},
         {"factor_resolution": 4},
     ],
 )
