@@ -130,12 +130,16 @@ class Gather:
         texels = cubemap.Texels(self.resolution)
         sides = [bake.bake_rows(bits, frames, one, self._directions, texels) for one in reflections]
         light_side = _side_by_side(sides)
-        out = _Sum(self._transport.operator.shape[1], m * sum(terms) * c)
-        for support, lines in self._lines(hits, light_side, c):
-            out.add(support, lines)
-        columns, rows = out.rows()
+        closings = list(self._closings(hits))
+        columns = self._columns(closings)
+        place = np.zeros(self._transport.operator.shape[1], np.int64)
+        place[columns] = np.arange(len(columns))
+        # A line for each coefficient: lines of some are added to at once.
+        lines = np.zeros((len(columns), m * sum(terms) * c), np.float32)
+        for support, found in self._lines(hits, closings, light_side, c):
+            lines[place[support]] += found
         ends = np.cumsum(terms)
-        by_reflection = np.split(rows.reshape(m, sum(terms), c, len(columns)), ends[:-1], axis=1)
+        by_reflection = np.split(lines.T.reshape(m, sum(terms), c, len(columns)), ends[:-1], axis=1)
         emitted: Sequence[np.ndarray | None] = [None] * len(terms)
         if self.emits:
             own = self.light(hits, light_side, [block.emitted for block in self._transport.blocks], emission=True)
@@ -203,9 +207,18 @@ class Gather:
             closing = _outgoing(block.reflection, block.weight, local, uv, footprint)
             yield number, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
 
-    def _lines(self, hits: Hits, light_side: Float[Array, "f m k c"], channels: int):
+    def _columns(self, closings) -> Int[np.ndarray, " n"]:
+        """The coefficients of all groups of vertices that are seen, ascending."""
+        held = np.zeros(self._transport.operator.shape[1], bool)
+        for number, _, slots, _, _ in closings:
+            for group in np.unique(slots // GROUP):
+                for part in self._parts[number]:
+                    held[part.clusters[group].support] = True
+        return np.flatnonzero(held)
+
+    def _lines(self, hits: Hits, closings, light_side: Float[Array, "f m k c"], channels: int):
         """What is seen of each group of vertices: its coefficients, and a line for each of them."""
-        for number, mine, slots, weights, closing in self._closings(hits):
+        for number, mine, slots, weights, closing in closings:
             hit = np.repeat(np.arange(len(mine)), slots.shape[1])
             entries = hits.receiver[mine][hit], hits.texel[mine][hit], hit, weights.reshape(-1)
             for part in self._parts[number]:
@@ -262,34 +275,6 @@ def _size(one: Cluster) -> tuple[int, int]:
 def _runs(array: np.ndarray, most: int):
     """Runs of at most so many."""
     return (array[start : start + most] for start in range(0, len(array), most))
-
-
-class _Sum:
-    """Sums rows that each lie on a few of d coefficients."""
-
-    def __init__(self, columns: int, width: int):
-        """Of rows that are written across: a line of `width` numbers for each coefficient."""
-        self._place = np.full(columns, -1)
-        self._columns: list[np.ndarray] = []
-        self._count = 0
-        self._rows = np.zeros((1024, width), np.float32)
-
-    def add(self, support: Int[np.ndarray, " s"], rows: Float[np.ndarray, "s w"]):
-        """Lines of some coefficients, none twice."""
-        new = support[self._place[support] < 0]
-        self._place[new] = self._count + np.arange(len(new))
-        self._columns.append(new)
-        self._count += len(new)
-        if self._count > len(self._rows):
-            more = max(self._count, 2 * len(self._rows)) - len(self._rows)
-            self._rows = np.pad(self._rows, ((0, more), (0, 0)))
-        self._rows[self._place[support]] += rows
-
-    def rows(self) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "w n"]]:
-        """The coefficients that were met, ascending, and the sum over them."""
-        columns = np.concatenate([np.zeros(0, int), *self._columns])
-        order = np.argsort(columns)
-        return columns[order], self._rows[order].T
 
 
 def _part(operator: Operator, block: Block) -> _Part:
