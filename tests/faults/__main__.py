@@ -62,7 +62,11 @@ def _scenes(folder: Path) -> Iterator[tuple[str, str]]:
 
 def _stores(folder: Path) -> Iterator[tuple[str, str]]:
     """damaged stores"""
-    for name, options, files in (("kept", (), stores.FILES), ("exact", stores.EXACT, stores.EXACT_FILES)):
+    for name, options, files in (
+        ("kept", (), stores.FILES),
+        ("exact", stores.EXACT, stores.EXACT_FILES),
+        ("bounced", stores.BOUNCED, stores.BOUNCED_FILES),
+    ):
         (folder / name).mkdir()
         sound = stores.prepare(folder / name, *options)
         damages = [damage for file in files for damage in stores.damages_to(file, sound)]

@@ -22,7 +22,7 @@ height = 8
 [environment]
 file = "sky.exr"
 """
-# Textured, bumpy, diffuse and glossy: layers of all kinds, two groups in some.
+# Textured, bumpy, diffuse and glossy, of which one emits: layers of all kinds, two groups in some.
 SCENE = (
     _CAMERA
     + """
@@ -35,6 +35,7 @@ type = "phong"
 diffuse = 0.1
 specular = 0.3
 exponent = 5
+emission = 0.1
 [[mesh]]
 primitive = "plane"
 size = [2, 2]
@@ -58,8 +59,10 @@ OTHER = (
 _DIALS = ("--resolution", 4, "--coefficients", 8, "--factor-resolution", 8, "--terms", 2)
 # Nothing is kept but visibility, from which every light bakes anew.
 EXACT = ("--receivers", "pixels", "--coefficients", "all")
+BOUNCED = ("--coefficients", "shared", "--bits", 8, "--bounces", 1, "--gather-resolution", 4)
 _KINDS = "environment", "factors", "geometry", "texture", "transport", "visibility"
 EXACT_FILES = "visibility/layout.json", "visibility/last group"
+BOUNCED_FILES = "bounced/layout.json", "bounced/last group", "transport/last group"
 FILES = ("store.json", *(f"{kind}/{name}" for kind in _KINDS for name in ("layout.json", "last group")))
 
 Harm = Callable[[pathlib.Path, pathlib.Path], object]

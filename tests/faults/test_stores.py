@@ -28,6 +28,14 @@ def test_damaged_visibility_that_is_lit_from(exact, file: str):
     assert not stores.wrong(stores.damages_to(file, exact), exact)
 
 
+@pytest.mark.slow
+def test_damaged_store_of_what_bounces(tmp_path):
+    """Clusters in codes, and light that surfaces emit."""
+    bounced = stores.prepare(tmp_path, *stores.BOUNCED)
+    for file in stores.BOUNCED_FILES:
+        assert not stores.wrong(stores.damages_to(file, bounced), bounced)
+
+
 def test_damage_to_the_whole(sound):
     assert not stores.wrong(stores.WHOLE, sound)
 
