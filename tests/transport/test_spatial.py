@@ -12,7 +12,7 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.transport import layers
 
-SETTINGS = jr.Settings("pixels", resolution=8)
+SETTINGS = jr.Settings("pixels", resolution=8, tolerance=0.0)
 SKY = jr.environment(np.random.default_rng(0).random((8, 16, 3)).astype(np.float32))
 
 
