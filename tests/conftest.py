@@ -1,6 +1,8 @@
 """A hostile session: warnings are errors (pyproject.toml), no state may leak, random examples are always the same."""
 
 import os
+import shutil
+import tempfile
 from typing import Any
 
 import hypothesis
@@ -10,8 +12,20 @@ import pytest
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, max_examples=40)
 hypothesis.settings.load_profile("repeatable")
 
-# Neither this process nor its children read or write the user's compiled programs.
+# Neither this process nor its children read or write the user's compiled programs. Half of the suite's time is
+# compiling, much of it what another worker or a child has compiled already: all of them share a cache, empty at first.
 os.environ["JAXRELIGHT_COMPILATION_CACHE"] = "off"
+_CACHE = "JAX_COMPILATION_CACHE_DIR"
+_IS_WORKER = "PYTEST_XDIST_WORKER" in os.environ
+if not _IS_WORKER:
+    os.environ |= {_CACHE: tempfile.mkdtemp(prefix="compiled-"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
+jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def pytest_unconfigure():
+    if not _IS_WORKER:
+        shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
 
 
 @pytest.fixture

@@ -273,11 +273,12 @@ def answer(values: Mapping):
 class Report:
     """One program's section of RESULTS.md, printed while it is made.
 
-    Use as a context manager: the section is written at the end, and only if nothing failed.
+    Use as a context manager: the section is written at the end, and only if nothing failed. A program that writes
+    several sections tells them apart by `part`.
     """
 
-    def __init__(self, name: str, title: str, parameters: str, write: bool = True):
-        self._name, self._write, self._lines = name, write, []
+    def __init__(self, name: str, title: str, parameters: str, write: bool = True, part: str = ""):
+        self._name, self._write, self._lines = name + part, write, []
         self.text(f"## {title}")
         self.text(f"`python -m tests.benchmarks.{name}` · {parameters}")
         self.text(machine_name())

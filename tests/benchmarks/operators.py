@@ -1,4 +1,7 @@
-"""Every operator on the same scenes: seconds, bytes, error, time of a light and of a view (Wang 2006, Tables I, II)."""
+"""Every operator on the same scenes: seconds, bytes, error, time of a light and of a view (Wang 2006, Tables I, II).
+
+Where JAX runs on a GPU, its own section of the results, with the share of the GPU's bandwidth that a light reaches.
+"""
 
 import argparse
 import contextlib
@@ -23,15 +26,19 @@ DIRECT: dict[str, dict[str, Any]] = {
     "clusters, 0.02, 8 bits": {"tolerance": 0.02, "bits": 8},
 }
 ONE_BOUNCE = ("clusters, 0.02", "clusters, 0.02, 8 bits")
+CHAIN = 64  # lights one after the other in one call, so that what a call costs is not counted
 
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.operators", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="resolution 16, a small mesh; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
+    parser.add_argument("--only", choices=[*MESHES], help="this mesh alone; RESULTS.md is left as it is")
     arguments = parser.parse_args()
     resolution, runs = (16, 3) if arguments.quick else (64, 15)
     meshes = {"teapot": "teapot.obj"} if arguments.quick else MESHES
+    if arguments.only:
+        meshes = {arguments.only: MESHES[arguments.only]}
     parameters = (
         f"meshes on a floor of 31 K vertices, vertices, resolution {resolution}; K = 1: Lambert; K = 4: Phong 50 as "
         "its diffuse part and 4 factors of its lobe; errors of the picture against all coefficients, relative L2 "
@@ -39,7 +46,9 @@ def main():
     )
     with contextlib.ExitStack() as stack:
         folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        report = stack.enter_context(Report("operators", "Operators", parameters, not arguments.quick))
+        write = not (arguments.quick or arguments.only)
+        title, part = ("Operators", "") if backend() == "cpu" else ("Operators on a GPU", "_gpu")
+        report = stack.enter_context(Report("operators", title, parameters, write, part))
         report.text(
             "For comparison, Wang 2006 (P4 2.4 GHz, GeForce 6800), direct light with 1 / 4 terms: bunny of 36 K "
             f"vertices {PAPER[1][2]}, {PAPER[1][3]}; Lucy of 102 K {PAPER[2][2]}, {PAPER[2][3]}; a light on the CPU "
@@ -49,6 +58,8 @@ def main():
             for terms in (1, 4):
                 scene = _scene(shared("data", "mesh", file), terms)
                 compare(report, name, scene, terms, resolution, folder / name, runs)
+        if backend() == "gpu":
+            report.text(f"The GPU: {gpu()}.")
         report.speed()
 
 
@@ -75,6 +86,7 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, folde
         made[more] = jr.precompute(scene, settings, folder)
         relighters[more] = jr.Relighter(jr.load(made[more].folder, made[more].header, made[more].placed))
     lights, views = _times(relighters, environments[0], view, runs)
+    shares = gpu_shares(relighters, environments[0], runs) if backend() == "gpu" else {}
     rows = []
     for label, relighter in relighters.items():
         bounced = label not in DIRECT
@@ -82,7 +94,8 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, folde
         stage, layers = ("bounce 1", "bounced") if bounced else ("transport", "transport")
         seconds, on_disk = made[label].seconds[stage], made[label].nbytes[layers]
         numbers = [f"{seconds:.0f}", megabytes(on_disk), megabytes(relighter.transport.operator.nbytes), error]
-        rows.append([label, *numbers, _milliseconds(lights[label]), _milliseconds(views[label])])
+        clocks = [_milliseconds(lights[label]), _milliseconds(views[label]), *shares.get(label, ())]
+        rows.append([label, *numbers, *clocks])
     start = made[next(iter(DIRECT))]
     report.text(
         f"**{name}, K = {terms}**, {start.receivers:,} receivers; visibility took {start.seconds['visibility']:.0f} s, "
@@ -91,6 +104,8 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, folde
         f"{exact_seconds:.1f} s, since their rows are baked at every light."
     )
     heads = ["operator", "made in / s", "in the store", "in memory", "error", "a light / ms", "a view / ms"]
+    if shares:
+        heads += ["in a chain / ms", "GB/s", "of reading"]
     report.table(heads, rows)
 
 
@@ -102,6 +117,51 @@ def _times(relighters, environment, view, runs: int) -> tuple[dict[str, Timing],
     lights = {label: lambda one=one: one.terms(vector) for label, one in relighters.items()}
     views = {label: lambda label=label, one=one: one.shade(terms[label], view) for label, one in relighters.items()}
     return interleaved(lights, runs), interleaved(views, runs)
+
+
+def backend() -> str:
+    """Where JAX runs: "cpu" or "gpu"."""
+    import jax
+
+    return jax.default_backend()
+
+
+def gpu() -> str:
+    """The GPU's name."""
+    import jax
+
+    return jax.devices()[0].device_kind
+
+
+def gpu_shares(relighters, environment, runs: int) -> dict[str, list[str]]:
+    """Milliseconds of a light among many in one call; bytes of the operator over them; share of the rate of reading."""
+    import jax
+    import jax.numpy as jnp
+
+    vector = next(iter(relighters.values())).light_vector(_pixels(environment, relighters))
+    vectors = vector * jnp.linspace(0.5, 1.5, CHAIN)[:, None, None]
+
+    @jax.jit
+    def chain(operators, vectors):
+        start = tuple(jnp.zeros((operator.shape[0], vectors.shape[-1])) for operator in operators)
+
+        def add(sums, vector):
+            return tuple(total + one.apply(vector) for total, one in zip(sums, operators, strict=True)), None
+
+        return jax.lax.scan(add, start, vectors)[0]
+
+    large = jnp.ones(2**28)
+    operators = {label: [operator for _, operator in one.transport.each] for label, one in relighters.items()}
+    sides = {label: lambda one=one: chain(one, vectors) for label, one in operators.items()}
+    read = jax.jit(jnp.sum)
+    times = interleaved({"reading": lambda: read(large), **sides}, runs)
+    rate = large.nbytes / times["reading"].least
+    found = {}
+    for label in relighters:
+        seconds = times[label].median / CHAIN
+        speed = relighters[label].transport.operator.nbytes / seconds
+        found[label] = [f"{seconds * 1e3:.3f}", f"{speed / 1e9:.0f}", f"{speed / rate:.2f}"]
+    return found
 
 
 def _pixels(environment, relighters):

@@ -110,6 +110,7 @@ def test_what_was_done_is_not_done_again(tmp_path, monkeypatch):
     np.testing.assert_array_equal(resumed.level.lobes.exponent, whole.level.lobes.exponent)
 
 
+@pytest.mark.slow
 def test_the_coarser_level_is_the_mean_of_the_functions():
     """Of equal texels it is those; of a soft and a sharp highlight neither, but close to their mean."""
     level, mask = coarser(_level(), np.ones((SIZE, SIZE), bool), Options())
@@ -154,6 +155,7 @@ def _seen_from_one_place() -> Stack:
     return stack_of(images * (1 + 0.03 * rng.normal(size=(10, SIZE, SIZE, 3))), lights, normals=normals)
 
 
+@pytest.mark.slow
 def test_lobes_that_no_sample_sees_are_not_made_up():
     """Noise alone can be fitted best by a lobe whose peak lies between all lights, and is as high as one likes."""
     stack = _seen_from_one_place()

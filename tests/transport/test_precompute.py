@@ -654,7 +654,7 @@ def _small_scene() -> Scene:
     return Scene(parts, materials, camera, sky)
 
 
-@pytest.fixture(scope="module", params=["vertices", "pixels"])
+@pytest.fixture(scope="module", params=["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def small(request, tmp_path_factory) -> Relighter:
     settings = Settings(request.param, resolution=4, terms=2, coefficients=24, factor_resolution=8)
     folder = tmp_path_factory.mktemp("small")

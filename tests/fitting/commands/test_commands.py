@@ -68,7 +68,7 @@ def test_lafortune_in_words_and_with_every_choice(folder, run):
     assert "# held out  not known" in (folder / "paint.toml").read_text()
 
 
-@pytest.mark.parametrize("form", ["svd", "nonnegative"])
+@pytest.mark.parametrize("form", [pytest.param("svd", marks=pytest.mark.slow), "nonnegative"])
 def test_factors_are_those_of_the_material(folder, run, form):
     dials = "--form", form, "--terms", "3", "--resolution", "8"
     summary = summary_of(run("factors", "paint.bsdf", "-o", "paint.npz", *dials, "--json"))
