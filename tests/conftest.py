@@ -12,8 +12,8 @@ import pytest
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, max_examples=40)
 hypothesis.settings.load_profile("repeatable")
 
-# Neither this process nor its children read or write the user's compiled programs. Half of the suite's time is
-# compiling, much of it what another worker or a child has compiled already: all of them share a cache, empty at first.
+# Neither this process nor its children read or write the user's compiled programs. What one worker or child has
+# compiled the others need not compile again: all of them share a cache, empty at first.
 os.environ["JAXRELIGHT_COMPILATION_CACHE"] = "off"
 _CACHE = "JAX_COMPILATION_CACHE_DIR"
 _IS_WORKER = "PYTEST_XDIST_WORKER" in os.environ
@@ -21,6 +21,13 @@ if not _IS_WORKER:
     os.environ |= {_CACHE: tempfile.mkdtemp(prefix="compiled-"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
 jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def pytest_configure(config):
+    """The quick suite's programs are compiled quickly, which they live for; slow tests run them as users do."""
+    if config.getoption("markexpr") == "not slow":
+        flags = os.environ.get("XLA_FLAGS", ""), "--xla_backend_optimization_level=0"
+        os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys(" ".join(flags).split()))
 
 
 def pytest_unconfigure():
