@@ -256,8 +256,8 @@ def times(report: Report, patch: Patch, light: Float[np.ndarray, "d c"], rows: i
     heads = ["what", "held", "GB/s", "ns a coefficient", "time"]
     report.table([*heads, "scipy 1 / this", f"scipy {THREADS} / this", "float32 / this"], table)
     report.text(
-        "Where float32 and 8 bits take the same time, and read their rows more slowly than the machine copies, the bound "
-        "is not reading but looking up the light of each coefficient, which is what is left of each nanosecond."
+        "Where float32 and 8 bits take the same time, and read their rows more slowly than the machine copies, what "
+        "bounds them is not reading but looking up the light of each coefficient."
     )
 
 
