@@ -1,6 +1,8 @@
 """What a program of several commands does with its command line. Nothing heavy is imported, so that --help is quick."""
 
 import atexit
+import contextlib
+import ctypes
 import difflib
 import functools
 import gc
@@ -39,6 +41,7 @@ def run_command(prog: str, description: str, commands: Sequence[type], smaller: 
         description=description,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
+    _share_freed_memory()
     keep_compilations()
     # At its end the interpreter would look through all objects for cycles, a third of a second for nothing.
     atexit.register(gc.freeze)
@@ -59,3 +62,13 @@ def run_command(prog: str, description: str, commands: Sequence[type], smaller: 
         kept = "what is done is kept, run the same command to go on" if getattr(command, "keeps", True) else ""
         print(f"{prog}: stopped{done}; {kept or 'nothing is written yet, run the same command again'}", file=sys.stderr)
         sys.exit(130)
+
+
+def _share_freed_memory():
+    """Has glibc, where it is there, keep what threads free in two places instead of eight for each core.
+
+    What one thread freed is of no use to others else: 0.9 of the 3.4 GB of a pass of bounces. It has to come before
+    threads start; a program of your own has the environment variable MALLOC_ARENA_MAX=2 for it.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(-8, 2)  # M_ARENA_MAX

@@ -24,7 +24,8 @@ from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.lights.environment import Environment, load_environment
-from jaxrelight.lights.local import Light, directional, point, spot
+from jaxrelight.lights.local import Light
+from jaxrelight.scene_lights import read_light
 from jaxrelight.scene_materials import from_file, made_light, read_texture, weighted
 from jaxrelight.toml_table import Table, read_toml
 
@@ -53,7 +54,7 @@ class Scene:
         name: what messages call it.
         assumptions: what was approximated, or taken because nothing else was said, one line each.
         terms: factors of a material, by its name, where it is to have another number than the settings say.
-        lights: point, spot and directional ones; transport has none of them.
+        lights: those that are not the environment; transport has none of them.
     """
 
     parts: Sequence[Part]
@@ -110,7 +111,7 @@ class Scene:
         if self.lights:
             raise InputError(
                 f"{self.name}: transport is of distant light only, and the scene has [[light]]; render it with "
-                "--lighting prefiltered, or remove them"
+                "--lighting indirect or prefiltered, or remove them"
             )
 
 
@@ -126,7 +127,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     environment = (
         _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
     )
-    lights = tuple(_light(table) for table in root.tables("light"))
+    lights = tuple(read_light(table, path.parent) for table in root.tables("light"))
     named = root.table("material", {})  # mesh files may bring all that is needed
     tables = {name: named.table(name) for name in named.names()}
     terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
@@ -156,6 +157,19 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions), lights)
 
 
+def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:
+    """Reads the [[light]] of a scene file, or of one that has nothing else.
+
+    Raises:
+        InputError: as `load_scene` does, or if there is none.
+    """
+    path = pathlib.Path(path)
+    found = tuple(read_light(table, path.parent) for table in read_toml(path, "a scene").tables("light"))
+    if not found:
+        raise InputError(f"{path}: has no [[light]]; add one")
+    return found
+
+
 def _camera(table: Table) -> Camera:
     values = {
         "origin": tuple(table.array("origin", (3,))),
@@ -180,30 +194,6 @@ def _environment(table: Table, folder: pathlib.Path, zero_nonfinite: bool) -> En
         return load_environment(folder / file, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite)
     except InputError as error:
         raise table.within(error) from None
-
-
-def _light(table: Table) -> Light:
-    kind = table.text("type")
-    try:
-        if kind == "point":
-            light = point(table.array("position", (3,)), table.not_negative("intensity"))
-        elif kind == "spot":
-            cutoff = table.number("cutoff")
-            light = spot(
-                table.array("position", (3,)),
-                table.array("target", (3,)),
-                table.not_negative("intensity"),
-                cutoff,
-                table.number("beam", 0.75 * cutoff),
-            )
-        elif kind == "directional":
-            light = directional(table.array("direction", (3,)), table.not_negative("irradiance"))
-        else:
-            raise InputError(f"type '{kind}' is not known; known are point, spot, directional")
-    except InputError as error:
-        raise table.within(error) from None
-    table.finish()
-    return light
 
 
 def _parts(

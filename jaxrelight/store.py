@@ -10,6 +10,11 @@
       table-KEY/               a long array of a measured BRDF
       transport-KEY/           kept coefficients of direct light, energies
       bounced-KEY/             the same of bounced light, of each pass
+      cloud-KEY/               points that stand for surfaces
+      albedo-KEY/              of those points, and what they emit
+      lights-KEY/              the numbers of the scene's local lights
+      between-KEY/             kept coefficients of what they gather from each other
+      indirect-KEY/            the same of what pixels gather from them
         layout.json            names, shapes and types of the arrays
         000000, 000001 …       the arrays of one group of receivers each
 
@@ -255,10 +260,11 @@ def layers_of(header: Mapping) -> list[str]:
     Raises:
         ValueError: if one is no name of a layer of its kind.
     """
-    named = [(kind, header[kind]) for kind in ("geometry", "visibility")]
+    named = [(kind, header.get(kind)) for kind in ("geometry", "visibility", "cloud", "albedo", "between")]
     named.append(("environment", (header["environment"] or {}).get("pixels")))
+    named.append(("lights", (header.get("lights") or {}).get("layer")))
     for material in header["materials"]:
-        named += [(kind, material.get(kind)) for kind in ("factors", "transport", "bounced")]
+        named += [(kind, material.get(kind)) for kind in ("factors", "transport", "bounced", "indirect")]
         named += [("texture", entry) for entry in (material["normal_map"], *material["weight"])]
         named += [("table", entry.get("layer")) for entry in material["brdf"]["arrays"].values()]
     named += [(name.partition("-")[0], name) for one in header.get("passes", []) for name in one]

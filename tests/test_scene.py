@@ -205,7 +205,7 @@ LIGHT = '[[light]]\ntype = "point"\nposition = [0, 1, 0]\nintensity = 2\n[[mesh]
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ('"point"', '"lamp"', "[[light]] number 1: type 'lamp' is not known; known are point, spot, directional"),
+        ('"point"', '"lamp"', "[[light]] number 1: type 'lamp' is not known; known are point, spot, directional, "),
         ("intensity = 2", "intensity = -2", "'intensity' must not be negative"),
         ("position = [0, 1, 0]", "position = [0, 1]", "'position' must be 3 numbers"),
         ("position", "postion", "'postion' is not known; did you mean 'position'?"),

@@ -1,4 +1,4 @@
-"""Orthonormal two-dimensional Haar wavelets on each face of a cube map (Wang 2006 §4.1.1).
+"""Orthonormal two-dimensional Haar wavelets on each face of a cube map (Wang 2006 §4.1.1), or on one square image.
 
 The square ("non-standard") transform: rows and columns are halved together, level by level. A face of n×n texels
 becomes n×n coefficients in the usual pyramid: the average at [0, 0], then for every level of side m its horizontal
@@ -40,19 +40,23 @@ def inverse(coefficients: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
     return average
 
 
-def levels(resolution: int) -> Int[np.ndarray, " d"]:
-    """The level of every coefficient of a 6×resolution² cube map: 0 for averages, then from coarse to fine."""
+def levels(resolution: int, faces: int = 6) -> Int[np.ndarray, " d"]:
+    """The level of every coefficient of faces×resolution² texels: 0 for averages, then from coarse to fine."""
     place = np.arange(resolution)
     side = np.maximum(place[:, None], place)
     # The number of binary digits: 0 at 0, l from 2^(l−1) on.
     level = np.frexp(side.astype(np.float64))[1]
-    return np.tile(level.reshape(-1), 6)
+    return np.tile(level.reshape(-1), faces)
 
 
 class HaarFaces(eqx.Module):
-    """The basis of Haar coefficients on a 6×n×n cube map; functions on it are vectors of d = 6·n² numbers."""
+    """The basis of Haar coefficients on the 6×n×n texels of a cube map, or on as many faces as are asked for.
+
+    Functions on them are vectors of d = 6·n² numbers.
+    """
 
     resolution: int = eqx.field(static=True)
+    faces: int = eqx.field(static=True, default=6)
 
     def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """Coefficients of texel values; linear and orthonormal."""
@@ -64,4 +68,4 @@ class HaarFaces(eqx.Module):
 
     def _on_faces(self, transform, vector):
         n = self.resolution
-        return transform(vector.reshape(*vector.shape[:-1], 6, n, n)).reshape(vector.shape)
+        return transform(vector.reshape(*vector.shape[:-1], self.faces, n, n)).reshape(vector.shape)

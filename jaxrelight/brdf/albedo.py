@@ -30,3 +30,15 @@ def largest_albedo(material: Material) -> float:
 @jax.jit
 def _albedos(brdf: Brdf, omega_o):
     return jax.lax.map(lambda omega: directional_albedo(brdf, omega, 128, 256), omega_o)
+
+
+def mean_albedo(brdf: Brdf | SpatialLobes) -> np.ndarray:
+    """The share of light, the same from all directions, that is reflected, by channel; of a spatial BRDF the mean."""
+    if isinstance(brdf, SpatialLobes):
+        brdf = brdf.packed("averaged").at(jnp.full(2, 0.5), 1.0)
+    square, weight = np.polynomial.legendre.leggauss(4)
+    sine, cosine = np.sqrt((1 + square) / 2), np.sqrt((1 - square) / 2)
+    turns = np.radians([10.0, 100.0])
+    omega = [[s * np.cos(t), s * np.sin(t), c] for t in turns for s, c in zip(sine, cosine, strict=True)]
+    found = np.asarray(_albedos(brdf, jnp.asarray(omega, jnp.float32)))
+    return np.tile(weight / 2, len(turns)) @ found / len(turns)

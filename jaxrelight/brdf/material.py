@@ -69,14 +69,18 @@ def white_phong(exponent) -> LobeSum:
     return LobeSum(jnp.zeros(len(n)), C, n[None], ((n + 2) / (2 * jnp.pi))[None])
 
 
-def in_grey(material: Material) -> Material:
+def in_grey(material: Material, diffuse: bool = False) -> Material:
     """The same material, with lobes that are the same in all channels but for a tint as grey ones, times the tint.
 
     What they add to is a component of its own then: white, times the albedo. Transport of such parts has one channel.
+    So has that of what is diffuse alone where it is factored; where it is not, `diffuse` has it white, too.
     """
     parts = []
     for component in material.components:
         brdf = component.brdf
+        if diffuse and isinstance(brdf, LobeSum) and brdf.is_constant:
+            parts.append(Component(white_lambert(), (constant(brdf.diffuse, brdf.diffuse.dtype), *component.weight)))
+            continue
         tint = _tint(brdf) if isinstance(brdf, LobeSum) else None
         if tint is None:
             parts.append(component)

@@ -39,6 +39,7 @@ def _store(path: pathlib.Path) -> dict:
     import numpy as np
 
     from jaxrelight import store
+    from jaxrelight.commands.indirect import LEAVES_OUT
     from jaxrelight.commands.relight import describe
     from jaxrelight.transport.load import load
 
@@ -61,6 +62,8 @@ def _store(path: pathlib.Path) -> dict:
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
         **describe(transport),
     }
+    if transport.cloud:
+        return summary | {"lights": len(transport.lights), "leaves_out": LEAVES_OUT}
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
     if dropped:
         # Under light of root-mean-square radiance 1 over the texels, no row is further off than this.

@@ -37,9 +37,10 @@ class PrecomputeOptions:
     bounces may add before they are left out."""
     bits: Literal[8, 16, 32] = 32
     """Of every number of compressed transport: 8 take a third of the bytes, and add less than what is left out."""
-    bounces: int = 0
-    """How often light is reflected at most on its way from the first surface to the last. Each takes minutes where
-    many surfaces see each other; relighting costs little more."""
+    bounces: int | None = None
+    """How often light is reflected at most on its way from the first surface to the last; by default 0, and 3 for
+    local lights. Under an environment each takes minutes where many surfaces see each other; relighting costs little
+    more."""
     gather_resolution: int = 32
     """Side of the six faces of the cube map that receivers look around with for bounced light."""
     gather: Literal["barycentric", "nearest"] = "barycentric"
@@ -58,10 +59,64 @@ class PrecomputeOptions:
             self.factor_resolution,
             self.tolerance,
             self.bits,
-            self.bounces,
+            self.bounces or 0,
             self.gather_resolution,
             self.gather,
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class CloudOptions:
+    """Points that stand for all surfaces under local lights, and how light is gathered from them."""
+
+    gather_samples: int = 16384
+    """How many points; a power of four. More show smaller shadows in indirect light; time and bytes grow with them."""
+    solid_angle: float = 0.01
+    """Points that are far for their distance from each other are gathered from together: where the square of their
+    extent is less than this times that of their distance."""
+    near: Literal["disc", "clamp"] = "disc"
+    """Light of near points: 'disc' keeps its energy, 'clamp' is bounded as in the paper, and darker in corners."""
+    importance: bool = False
+    """Put more points where they light what the camera sees: for scenes of which it sees a small part."""
+    seed: int = 0
+    """Of where the points lie."""
+
+    def settings(self, dials: PrecomputeOptions) -> "Settings":
+        """As the library takes them, with those dials that rows from points have, too.
+
+        Raises:
+            InputError: for a dial that they have not.
+        """
+        from jaxrelight.transport.settings import Settings
+
+        named = "coefficients", "tolerance", "bits", "bounces"
+        refuse_others(dials, PrecomputeOptions(), "transport", named)
+        bounces = 3 if dials.bounces is None else dials.bounces
+        kept = {"coefficients": dials.coefficients, "tolerance": dials.tolerance, "bits": dials.bits}
+        return Settings("pixels", bounces=bounces, **kept, **vars(self))
+
+
+@dataclasses.dataclass(frozen=True)
+class LocalOptions:
+    """The picture under local lights."""
+
+    samples: int = 2
+    """Samples of direct light along each side of a pixel."""
+    layers: bool = False
+    """Write direct light, indirect light by its last reflection and each light as layers of the .exr."""
+
+
+def refuse_others(given, default, lighting: str, known: tuple[str, ...] = ()):
+    """Refuses options that another kind of lighting has.
+
+    Raises:
+        InputError: for the first that is not as by default.
+    """
+    from jaxrelight.errors import InputError
+
+    for name, value in vars(given).items():
+        if name not in known and value != getattr(default, name):
+            raise InputError(f"--{name.replace('_', '-')} is a dial of --lighting {lighting}; leave it out")
 
 
 @dataclasses.dataclass(frozen=True)

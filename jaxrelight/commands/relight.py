@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from jaxrelight.commands.options import LightOptions, Output, PictureOptions, ViewOptions
+from jaxrelight.commands.options import LightOptions, LocalOptions, Output, PictureOptions, ViewOptions, refuse_others
 
 if TYPE_CHECKING:
     from jaxrelight.geometry.camera import Camera
@@ -25,33 +25,64 @@ class Relight:
     """What `precompute` made."""
     output: Output
     """The picture: .exr, .hdr or .png."""
+    lights: pathlib.Path | None = None
+    """A scene file, or one of [[light]] alone, whose lights take the place of the store's; indirect lighting only."""
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
     picture: tyro.conf.OmitArgPrefixes[PictureOptions] = PictureOptions()
+    local: tyro.conf.OmitArgPrefixes[LocalOptions] = LocalOptions()
     json: bool = False
     """Print one JSON object at the end."""
 
     def run(self):
         """Runs the command."""
         start = time.perf_counter()
-        from jaxrelight.commands.progress import notes
         from jaxrelight.commands.summary import summarize
+        from jaxrelight.errors import InputError
         from jaxrelight.images import check_writable
-        from jaxrelight.lighting.transport import Relighter
-        from jaxrelight.transport.load import load, stored_environment
+        from jaxrelight.transport.load import load
 
         check_writable(self.output)
         seconds = {}
         with timed(seconds, "open"):
             transport = load(self.store)
+        if transport.cloud:
+            picture = self._indirect(transport, seconds)
+        else:
+            refuse_others(self.local, LocalOptions(), "indirect")
+            if self.lights:
+                raise InputError(f"{self.store}: a store for distant light; precompute with --lighting indirect")
+            picture = self._distant(transport, seconds)
+        seconds |= {**picture.pop("seconds", {}), "total": time.perf_counter() - start}
+        store = {"command": "relight", "store": str(self.store)}
+        summarize({**store, **picture, **describe(transport), "seconds": seconds}, self.json)
+
+    def _indirect(self, transport: "Transport", seconds: dict) -> dict:
+        from jaxrelight.commands.indirect import indirect_picture
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.errors import InputError
+        from jaxrelight.scene import load_lights
+        from jaxrelight.transport.load import stored_environment
+
+        if self.view.camera(transport.camera) != transport.camera:
+            raise InputError(f"{self.store}: precomputed for one camera; render the scene with another instead")
+        lights = load_lights(self.lights) if self.lights else transport.lights
+        own, asked = stored_environment(transport), self.light != LightOptions()
+        environment = self.light.environment(own) if own or asked else None
+        notes(environment.notes if environment else ())
+        arguments = lights, environment, self.output, self.picture, self.local, seconds
+        return indirect_picture(transport, *arguments)
+
+    def _distant(self, transport: "Transport", seconds: dict) -> dict:
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.lighting.transport import Relighter
+        from jaxrelight.transport.load import stored_environment
+
         with timed(seconds, "environment"):
             environment = self.light.environment(stored_environment(transport), emits=transport.emits)
             notes(environment.notes)
         camera = self.view.camera(transport.camera)
-        picture = light_picture(Relighter(transport), environment, camera, self.output, self.picture)
-        seconds |= {**picture.pop("seconds"), "total": time.perf_counter() - start}
-        store = {"command": "relight", "store": str(self.store)}
-        summarize({**store, **picture, **describe(transport), "seconds": seconds}, self.json)
+        return light_picture(Relighter(transport), environment, camera, self.output, self.picture)
 
 
 def light_picture(

@@ -7,10 +7,21 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from jaxrelight.commands.options import LightOptions, Output, PictureOptions, PrecomputeOptions, ViewOptions
+from jaxrelight.commands.options import (
+    CloudOptions,
+    LightOptions,
+    LocalOptions,
+    Output,
+    PictureOptions,
+    PrecomputeOptions,
+    ViewOptions,
+    refuse_others,
+)
 
 if TYPE_CHECKING:
     from jaxrelight.scene import Scene
+    from jaxrelight.transport.load import Transport
+    from jaxrelight.transport.settings import Settings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,9 +36,11 @@ class Render:
     """'pixels' are exact for this camera; 'vertices' can be viewed from anywhere afterwards."""
     store: pathlib.Path | None = None
     """The store's folder; by default one in the user's cache folder."""
-    lighting: Literal["transport", "prefiltered"] = "transport"
-    """How light becomes radiance. 'transport' is precomputed, with shadows, for distant light. 'prefiltered' is quick,
-    knows local lights too, and its environment casts no shadows; materials must be sums of lobes."""
+    lighting: Literal["auto", "transport", "indirect", "prefiltered"] = "auto"
+    """How light becomes radiance. 'transport' is precomputed, with shadows, for distant light. 'indirect' is
+    precomputed for this camera and lights anywhere, whose light surfaces pass on. 'prefiltered' is quick, knows lights
+    anywhere too, and its environment casts no shadows; materials must be sums of lobes. 'auto' is indirect for a scene
+    with local lights alone, and else transport."""
     shadows: bool = True
     """Let local lights cast shadows."""
     texels: Literal["parameters", "reflectance"] = "parameters"
@@ -37,6 +50,8 @@ class Render:
     """What prefiltered lighting sees of an SBRDF whose texels are smaller than pixels: the coarser 'levels' that were
     fitted to it, as far as the maps have any; 'averaged' parameters; or single texels."""
     dials: tyro.conf.OmitArgPrefixes[PrecomputeOptions] = PrecomputeOptions()
+    cloud: tyro.conf.OmitArgPrefixes[CloudOptions] = CloudOptions()
+    local: tyro.conf.OmitArgPrefixes[LocalOptions] = LocalOptions()
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
     picture: tyro.conf.OmitArgPrefixes[PictureOptions] = PictureOptions()
@@ -46,60 +61,93 @@ class Render:
     def run(self):
         """Runs the command."""
         start = time.perf_counter()
-        from jaxrelight.commands.precompute import as_made
-        from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.relight import describe, light_picture, timed
+        from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize
-        from jaxrelight.errors import InputError
         from jaxrelight.images import check_writable
-        from jaxrelight.lighting.transport import Relighter
         from jaxrelight.mesh_scene import open_scene
-        from jaxrelight.transport.load import load
-        from jaxrelight.transport.precompute import precompute
 
         check_writable(self.output)
-        if self.lighting == "transport":
-            others = {"no-shadows": not self.shadows, "texels": self.texels != "parameters"}
-            for option, given in (others | {"minification": self.minification != "levels"}).items():
-                if given:
-                    raise InputError(f"--{option} is a dial of --lighting prefiltered; leave it out")
         seconds = {}
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
             scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
-            if self.lighting == "transport":
-                # Found now rather than after a minute of rays.
-                scene.check_distant()
-                environment = self.light.environment(scene.environment, emits=scene.emits)
-                notes(dict.fromkeys((*scene.notes, *environment.notes)))
-        if self.lighting == "prefiltered":
-            self._prefiltered(scene, seconds, start)
-            return
+        lighting, asked = self.lighting, self.light.env is not None or scene.environment
+        if lighting == "auto":
+            lighting = "indirect" if scene.lights and not asked else "transport"
+        how = {"transport": self._transport, "indirect": self._indirect, "prefiltered": self._prefiltered}
+        summary = how[lighting](scene, seconds)
+        seconds |= summary.pop("seconds", {})
+        seconds["total"] = time.perf_counter() - start
+        summarize({"command": "render", "lighting": lighting, **summary, "seconds": seconds}, self.json)
+
+    def _transport(self, scene: "Scene", seconds: dict) -> dict:
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.commands.relight import describe, light_picture
+        from jaxrelight.lighting.transport import Relighter
+
+        self._refuse(prefiltered=True, cloud=True)
+        # Found now rather than after a minute of rays.
+        scene.check_distant()
+        environment = self.light.environment(scene.environment, emits=scene.emits)
+        notes(dict.fromkeys((*scene.notes, *environment.notes)))
+        made, transport = self._made(scene, self.dials.settings(self.receivers), seconds)
+        picture = light_picture(Relighter(transport), environment, scene.camera, self.output, self.picture)
+        return {**made, **picture, **describe(transport)}
+
+    def _indirect(self, scene: "Scene", seconds: dict) -> dict:
+        from jaxrelight.commands.indirect import indirect_picture
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.commands.relight import describe
+        from jaxrelight.errors import InputError
+
+        self._refuse(prefiltered=True)
+        if self.receivers != "pixels":
+            raise InputError("--receivers vertices is a dial of --lighting transport; leave it out")
+        asked = self.light != LightOptions()
+        environment = self.light.environment(scene.environment) if scene.environment or asked else None
+        notes(dict.fromkeys((*scene.notes, *(environment.notes if environment else ()))))
+        made, transport = self._made(scene, self.cloud.settings(self.dials), seconds)
+        arguments = scene.lights, environment, self.output, self.picture, self.local, seconds
+        return {**made, **indirect_picture(transport, *arguments), **describe(transport)}
+
+    def _prefiltered(self, scene: "Scene", seconds: dict) -> dict:
+        from jaxrelight.commands.prefiltered import prefiltered_picture
+        from jaxrelight.commands.progress import notes
+        from jaxrelight.errors import InputError
+
+        self._refuse(cloud=True)
+        for name, (given, default) in {"store": (self.store, None), "receivers": (self.receivers, "pixels")}.items():
+            if given != default:
+                raise InputError(f"--{name} is a dial of --lighting transport; leave it out")
+        refuse_others(self.dials, PrecomputeOptions(), "transport")
+        notes(dict.fromkeys(scene.notes))
+        dials = {"shadows": self.shadows, "texels": self.texels, "minification": self.minification}
+        return prefiltered_picture(scene, self.light, self.output, self.picture, **dials, seconds=seconds)
+
+    def _refuse(self, *, prefiltered: bool = False, cloud: bool = False):
+        """Refuses dials of other kinds of lighting."""
+        from jaxrelight.errors import InputError
+
+        if cloud:
+            refuse_others(self.cloud, CloudOptions(), "indirect")
+            refuse_others(self.local, LocalOptions(), "indirect")
+        others = {"no-shadows": not self.shadows, "texels": self.texels != "parameters"}
+        for option, given in (others | {"minification": self.minification != "levels"}).items():
+            if prefiltered and given:
+                raise InputError(f"--{option} is a dial of --lighting prefiltered; leave it out")
+
+    def _made(self, scene: "Scene", settings: "Settings", seconds: dict) -> tuple[dict, "Transport"]:
+        """Precomputes what is missing, and opens it."""
+        from jaxrelight.commands.precompute import as_made
+        from jaxrelight.commands.progress import notes, progress
+        from jaxrelight.commands.relight import timed
+        from jaxrelight.transport.load import load
+        from jaxrelight.transport.precompute import precompute
+
         with progress(self.json) as report:
-            made = precompute(scene, self.dials.settings(self.receivers), self.store, report)
+            made = precompute(scene, settings, self.store, report)
         notes(made.notes)
         seconds |= made.seconds
         with timed(seconds, "open"):
             # Of this scene, whatever another process has meanwhile made of the store.
-            transport = load(made.folder, made.header, made.placed)
-        picture = light_picture(Relighter(transport), environment, scene.camera, self.output, self.picture)
-        seconds |= {**picture.pop("seconds"), "total": time.perf_counter() - start}
-        summary = {"command": "render", **as_made(made), **picture, **describe(transport), "seconds": seconds}
-        summarize(summary, self.json)
-
-    def _prefiltered(self, scene: "Scene", seconds: dict, start: float):
-        from jaxrelight.commands.prefiltered import prefiltered_picture
-        from jaxrelight.commands.progress import notes
-        from jaxrelight.commands.summary import summarize
-        from jaxrelight.errors import InputError
-
-        others = {"store": (self.store, None), "receivers": (self.receivers, "pixels")}
-        others |= {name: (given, getattr(PrecomputeOptions(), name)) for name, given in vars(self.dials).items()}
-        for name, (given, default) in others.items():
-            if given != default:
-                raise InputError(f"--{name.replace('_', '-')} is a dial of --lighting transport; leave it out")
-        notes(dict.fromkeys(scene.notes))
-        dials = {"shadows": self.shadows, "texels": self.texels, "minification": self.minification}
-        picture = prefiltered_picture(scene, self.light, self.output, self.picture, **dials, seconds=seconds)
-        seconds["total"] = time.perf_counter() - start
-        summarize({"command": "render", "lighting": "prefiltered", **picture, "seconds": seconds}, self.json)
+            return as_made(made), load(made.folder, made.header, made.placed)

@@ -10,7 +10,8 @@ rounding. A command that fails prints nothing on standard output: one line on st
     settings         the dials it was precomputed with, by the names of the options
     receivers        vertices, or pixels that see a surface
     rays             traced by this run; 0 if all was there
-    rays_per_second  of the visibility stage
+    rays_per_second  of the stages that trace them
+    lighting         transport, indirect or prefiltered
     seconds          by stage, in the order they came: geometry, visibility, transport, bounce 1 …; open, environment,
                      view, light_first (with compilation), light, shade, write; load (the scene), total
     bytes            on disk, by kind of layer
@@ -24,8 +25,12 @@ A picture (render, relight; demo: picture alone):
     covered          share of pixels that see a surface, 0 … 1
     mean_radiance    of those, all channels
 
-render --lighting prefiltered: lighting, lights (how many), maps_bytes (of the prefiltered environment); seconds has
-view, prefilter, environment and lights.
+Indirect lighting: lights (how many local ones), leaves_out (what the method does not transfer); seconds has cloud,
+between and pixels where it is precomputed; of a picture cloud (what its points reflect of lights), transfer (what
+pixels get of that) and light (all, with direct light).
+
+render --lighting prefiltered: lights (how many), maps_bytes (of the prefiltered environment); seconds has view,
+prefilter, environment and lights.
 
 demo: milliseconds {change_of_view, change_of_light, shading}; error {coefficients, without_worst_5_percent}: relative
 L2 against all coefficients.

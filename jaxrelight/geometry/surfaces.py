@@ -5,6 +5,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 from jaxtyping import Bool, Float, Int
 
 from jaxrelight.errors import InputError
@@ -37,7 +38,7 @@ class Surfaces:
     centre: Float[np.ndarray, "3"]
     radius: float
 
-    def to_scene(self, world: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    def to_scene(self, world: npt.ArrayLike) -> Float[np.ndarray, "... 3"]:
         """Positions in scene space of world positions."""
         return (np.asarray(world, float) - self.centre) / self.radius
 

@@ -5,12 +5,13 @@ import os
 import struct
 import warnings
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from jaxrelight.errors import InputError
-from jaxrelight.images.exr import read_exr, write_exr
+from jaxrelight.images.exr import read_exr, write_channels, write_exr
 from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
 from jaxrelight.images.tone import srgb_decode, to_bytes, to_unit, tone_map
 from jaxrelight.whole_file import check_place, write_whole
@@ -84,6 +85,20 @@ def write_image(path: str | os.PathLike, pixels, exposure: float = 0.0, *, alpha
         write_whole(path, lambda partial: _write_png(partial, shown))
     else:
         raise InputError(f"{path}: cannot write an image of kind {suffix!r}; use one of {', '.join(_WRITABLE)}")
+
+
+def write_layers(path: str | os.PathLike, pixels, layers: Mapping[str, np.ndarray]) -> None:
+    """Write an EXR of a picture and of layers `[h, w, 3]` beside it, whose channels are called `name.R` and so on.
+
+    Raises:
+        InputError: As `write_image` does.
+    """
+    image = _as_image(Path(path), pixels)
+    channels = {name: image[..., i] for i, name in enumerate("RGBA"[: image.shape[2]])}
+    for layer, values in layers.items():
+        channels |= {f"{layer}.{name}": values[..., i] for i, name in enumerate("RGB")}
+    planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
+    write_whole(Path(path), lambda partial: write_channels(partial, [("picture", planes)]))
 
 
 def check_writable(path: str | os.PathLike) -> None:

@@ -6,7 +6,7 @@ no shadows, and surfaces do not light each other.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import jax
@@ -19,14 +19,18 @@ from jaxrelight.basis import latlong
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.horizon import cut
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.material import Component, as_material
+from jaxrelight.brdf.material import Component, Material, as_material
 from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
+from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lighting.pixels import Pixels, padded
+from jaxrelight.lighting.shadows import reached
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Incident, Light
 from jaxrelight.lights.prefiltered import Prefiltered
@@ -77,17 +81,20 @@ class Seen:
 
     Attributes:
         materials: those that are seen.
-        covered: which pixels show a surface.
-        directions: unit world direction of every pixel.
+        gbuffer: the surface points.
         radius: length of scene space's unit in the world.
         tracer: for rays to the lights.
     """
 
     materials: tuple[SeenMaterial, ...]
-    covered: Bool[np.ndarray, "h w"]
-    directions: Float[np.ndarray, "h w 3"]
+    gbuffer: GBuffer
     radius: float
     tracer: Tracer
+
+    @property
+    def covered(self) -> Bool[np.ndarray, "h w"]:
+        """Which pixels show a surface."""
+        return self.gbuffer.covered
 
     def under(
         self,
@@ -129,10 +136,12 @@ class Seen:
     ) -> Float[Array, "h w 3"]:
         """Radiance under local lights, of any BRDF; differentiable in lights and BRDFs while shadows stand still."""
         image = self._black()
-        for light in lights:
+        for punctual in (one for light in lights for one in light.parts()):
             for part in self.materials:
-                incident = light.at(part.pixels.position)
-                visible = self._visible(part, incident) if shadows else jnp.ones_like(incident.distance)
+                incident = punctual.at(part.pixels.position)
+                visible = jnp.ones_like(incident.distance)
+                if shadows:
+                    visible = reached(self.tracer, part.rays, self.radius, incident)
                 for component in part.components:
                     found = _lit(component.brdf, component.weight, part.pixels, incident, visible, texels)
                     image = image.at[part.pixels.pixel].add(found, mode="drop")
@@ -140,28 +149,13 @@ class Seen:
 
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
-        u, v = latlong.coordinates(self.directions)
+        u, v = latlong.coordinates(self.gbuffer.directions)
         u, v = jnp.asarray(u + environment.rotate_y / 360, jnp.float32), jnp.asarray(v, jnp.float32)
         found = latlong.look_up(jnp.asarray(environment.pixels), u, v)
         return found * environment.scale
 
     def _black(self) -> Float[Array, "p 3"]:
         return jnp.zeros((self.covered.size, 3))
-
-    def _visible(self, part: SeenMaterial, incident: Incident) -> Float[Array, " p"]:
-        """1 where nothing stands between a pixel's point and the light."""
-
-        def trace(omega_i, distance):
-            count = len(part.rays)
-            reached = np.zeros(len(distance), np.float32)
-            # Not as far as the light, so that a lamp's own surface does not hide it.
-            near = distance[:count] / self.radius - 2 * OFFSET
-            reached[:count] = ~self.tracer.blocked(part.rays, omega_i[:count], near)
-            return reached
-
-        shape = jax.ShapeDtypeStruct(incident.distance.shape, np.float32)
-        given = jax.lax.stop_gradient((incident.omega_i, incident.distance))
-        return jax.pure_callback(trace, shape, *given, vmap_method="sequential")
 
 
 def look_at(scene: Scene, minification: Minification = "levels") -> Seen:
@@ -177,7 +171,6 @@ def look_at(scene: Scene, minification: Minification = "levels") -> Seen:
             one that emits light.
     """
     scene.check_materials()
-    surfaces = scene.surfaces()
     names = [part.material for part in scene.parts]
     materials = {name: as_material(scene.materials[name]) for name in sorted(set(names))}
     for name, material in materials.items():
@@ -186,9 +179,30 @@ def look_at(scene: Scene, minification: Minification = "levels") -> Seen:
                 f"{scene.name}: material '{name}' emits light, which prefiltered lighting has not; light it with "
                 "transport, or remove 'emission'"
             )
-    tracer = Tracer(surfaces)
-    gbuffer = see(surfaces, tracer, scene.camera, [materials[name].normal_map for name in names])
-    seen = np.asarray([[*materials].index(name) for name in names])[gbuffer.mesh]
+    surfaces = scene.surfaces()
+    return look(surfaces, Tracer(surfaces), scene.camera, names, materials, minification)
+
+
+def look(
+    surfaces: Surfaces,
+    tracer: Tracer,
+    camera: Camera,
+    names: Sequence[str | None],
+    materials: Mapping[str, Material],
+    minification: Minification = "levels",
+) -> Seen:
+    """Traces the pixels of a camera; see `look_at`.
+
+    Args:
+        surfaces: of all meshes.
+        tracer: of those.
+        camera: any.
+        names: the material of each mesh; None for one that is black.
+        materials: all of them.
+        minification: of SBRDFs.
+    """
+    gbuffer = see(surfaces, tracer, camera, [materials[name].normal_map if name else None for name in names])
+    seen = np.asarray([[*materials].index(name) if name else -1 for name in names])[gbuffer.mesh]
     pixel = np.flatnonzero(gbuffer.covered)
     world = gbuffer.positions * surfaces.radius + surfaces.centre
     lifted = gbuffer.positions + OFFSET * gbuffer.face_normals
@@ -211,7 +225,7 @@ def look_at(scene: Scene, minification: Minification = "levels") -> Seen:
             )
             components = tuple(seen_component(part, minification) for part in materials[name].components)
             parts.append(SeenMaterial(name, components, pixels, lifted[mine]))
-    return Seen(tuple(parts), gbuffer.covered, gbuffer.directions, surfaces.radius, tracer)
+    return Seen(tuple(parts), gbuffer, surfaces.radius, tracer)
 
 
 def seen_component(part: Component, minification: Minification = "levels") -> SeenComponent:

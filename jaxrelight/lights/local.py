@@ -1,6 +1,7 @@
 """Lights with a place or a direction: what arrives at points of the world. No rays are traced here."""
 
 import abc
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,14 +28,29 @@ class Incident(NamedTuple):
 
 
 class Light(eqx.Module):
-    """A local light. `at` is pure and differentiable in positions and in the light's numbers."""
+    """Any light that is not a whole environment: a sum of punctual ones."""
+
+    @abc.abstractmethod
+    def parts(self) -> Sequence["Punctual"]:
+        """Lights that together are this one, each with shadows of its own."""
+
+
+class Punctual(Light):
+    """A light that comes from one direction at each point. A light of your own is a class of this kind.
+
+    `at` is pure and differentiable in positions and in the light's numbers.
+    """
 
     @abc.abstractmethod
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """What arrives at positions in the world."""
 
+    def parts(self) -> Sequence["Punctual"]:
+        """Itself."""
+        return (self,)
 
-class Point(Light):
+
+class Point(Punctual):
     """Intensity in W/sr, the same in all directions, from a position."""
 
     position: Float[Array, "3"]
@@ -42,10 +58,10 @@ class Point(Light):
 
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance."""
-        return _from(self.position, self.intensity, positions)
+        return from_point(self.position, self.intensity, positions)
 
 
-class Spot(Light):
+class Spot(Punctual):
     """A point light with a cone around the direction to `target`.
 
     Intensity is whole up to `beam` degrees from the axis, nothing beyond `cutoff`, and linear in the angle between.
@@ -59,7 +75,7 @@ class Spot(Light):
 
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and towards the cone's edge."""
-        found = _from(self.position, self.intensity, positions)
+        found = from_point(self.position, self.intensity, positions)
         angle = jnp.degrees(safe.angle(-found.omega_i, jnp.broadcast_to(self.target - self.position, positions.shape)))
         width = self.cutoff - self.beam
         soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
@@ -67,7 +83,7 @@ class Spot(Light):
         return found._replace(irradiance=found.irradiance * share[:, None])
 
 
-class Directional(Light):
+class Directional(Punctual):
     """Parallel light that travels along `direction`, with an irradiance on a surface across it."""
 
     direction: Float[Array, "3"]
@@ -86,7 +102,7 @@ def point(position, intensity) -> Point:
     Raises:
         InputError: for numbers that are not finite or negative intensities.
     """
-    return Point(_vector("position", position), _power("intensity", intensity))
+    return Point(vector("position", position), power("intensity", intensity))
 
 
 def spot(position, target, intensity, cutoff: float, beam: float | None = None) -> Spot:
@@ -99,11 +115,11 @@ def spot(position, target, intensity, cutoff: float, beam: float | None = None) 
     beam = 0.75 * cutoff if beam is None else beam
     if not (np.isfinite([cutoff, beam]).all() and 0 <= beam <= cutoff <= 180 and cutoff > 0):
         raise InputError(f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {beam:g} and cutoff {cutoff:g}")
-    position, target = _vector("position", position), _vector("target", target)
+    position, target = vector("position", position), vector("target", target)
     if (position == target).all():
         raise InputError("a spot's target is where it stands; give it another")
     angles = (jnp.asarray(angle, jnp.float32) for angle in (cutoff, beam))
-    return Spot(position, target, _power("intensity", intensity), *angles)
+    return Spot(position, target, power("intensity", intensity), *angles)
 
 
 def directional(direction, irradiance) -> Directional:
@@ -112,28 +128,40 @@ def directional(direction, irradiance) -> Directional:
     Raises:
         InputError: for the zero vector, or numbers as `point` refuses.
     """
-    direction = _vector("direction", direction)
+    direction = vector("direction", direction)
     if not direction.any():
         raise InputError("a directional light's direction is the zero vector; say where its light goes")
-    return Directional(direction, _power("irradiance", irradiance))
+    return Directional(direction, power("irradiance", irradiance))
 
 
-def _from(place: Float[Array, "3"], intensity: Float[Array, "3"], positions: Float[Array, "p 3"]) -> Incident:
+def from_point(
+    place: Float[Array, "3"], intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]
+) -> Incident:
+    """Light of one intensity in all directions: it falls off with the square of the distance."""
     towards = place - positions
     distance = safe.norm(towards)
     # At the light itself the square would be infinite.
     square = jnp.maximum(distance, 1e-6) ** 2
-    return Incident(safe.normalize(towards), distance, intensity / square[:, None])
+    return Incident(safe.normalize(towards), distance, jnp.broadcast_to(intensity / square[:, None], positions.shape))
 
 
-def _vector(name: str, values) -> Float[Array, "3"]:
+def frame_towards(place: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Rows right, up and forward of what looks from a place to a target, as a camera does."""
+    forward = safe.normalize(target - place)
+    right = safe.normalize(jnp.cross(forward, up))
+    return jnp.stack([right, jnp.cross(right, forward), forward])
+
+
+def vector(name: str, values) -> Float[Array, "3"]:
+    """Three finite numbers; anything else is refused by name."""
     array = np.asarray(values, float)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{name} must be three finite numbers, not {values!r}")
     return jnp.asarray(array, jnp.float32)
 
 
-def _power(name: str, values) -> Float[Array, "3"]:
+def power(name: str, values) -> Float[Array, "3"]:
+    """A number for each channel, finite and not negative, from one or three."""
     array = np.asarray(values, float)
     if array.shape not in ((), (3,)) or not np.isfinite(array).all() or (array < 0).any():
         raise InputError(f"{name} must be one number or three, finite and not negative, not {values!r}")

@@ -110,7 +110,7 @@ class Gather:
         group: int,
         frames: Float[np.ndarray, "m 3 3"],
         reflections: Sequence[Reflection],
-        channels: int | None = None,
+        channels: Sequence[int] | None = None,
     ) -> list[Gathered]:
         """What one group of receivers gathers, by each of the reflections that it has.
 
@@ -119,11 +119,11 @@ class Gather:
             group: which one.
             frames: of its receivers.
             reflections: theirs.
-            channels: of the rows; by default no more than there need be.
+            channels: of the rows of each, all the same; by default no more than there need be.
         """
         hits = self.hits(receivers, group)
         m, terms = len(frames), [reflection.terms for reflection in reflections]
-        c = channels or max(self.channels, *(reflection.channels for reflection in reflections))
+        c = max(channels or self.channels_of(reflections))
         seen = np.zeros((m, len(self._directions.vectors)), bool)
         seen[hits.receiver, hits.texel] = True
         bits = jnp.asarray(np.packbits(seen, axis=1, bitorder="little"))
@@ -145,6 +145,11 @@ class Gather:
             own = self.light(hits, light_side, [block.emitted for block in self._transport.blocks], emission=True)
             emitted = np.split(own, ends[:-1], axis=1)
         return [Gathered(columns, *one) for one in zip(by_reflection, emitted, strict=True)]
+
+    def channels_of(self, reflections: Sequence[Reflection]) -> list[int]:
+        """Channels of the rows of each of a material's reflections: the same for all, which are gathered at once."""
+        most = max(self.channels, *(reflection.channels for reflection in reflections))
+        return [most] * len(reflections)
 
     def light(
         self,

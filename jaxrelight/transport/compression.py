@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from jaxrelight import store
 from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.basis.truncation import Truncated
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
@@ -33,7 +34,31 @@ class Opened(NamedTuple):
 
 def compression(settings: Settings) -> "Rows | Clusters":
     """What the settings ask for, of direct light."""
-    return Clusters(settings) if settings.coefficients == "shared" else Rows(settings)
+    if settings.coefficients == "shared":
+        return shared(settings)
+    return Rows(int(settings.coefficients), settings.bits, natural_spectrum(settings.resolution))
+
+
+def shared(settings: Settings) -> "Clusters":
+    """Of bounced light, whatever direct light is kept as."""
+    return Clusters(settings.tolerance, settings.bits, natural_spectrum(settings.resolution))
+
+
+def of_cloud(settings: Settings, spectrum: Float[np.ndarray, " d"]) -> "Rows | Clusters":
+    """Of what is gathered from a cloud, whose light has a spectrum."""
+    if settings.coefficients == "shared":
+        return Clusters(settings.tolerance, settings.bits, spectrum)
+    return Rows(int(settings.coefficients), settings.bits, spectrum)
+
+
+def bake_compressed(
+    kept: "Rows | Clusters", bits, frames, reflection: Reflection, directions: bake.Directions, basis: HaarFaces
+) -> dict[str, np.ndarray]:
+    """Direct light of one group, as a layer holds it; see `bake`."""
+    if isinstance(kept, Rows):
+        return kept.arrays(bake.bake_truncated(bits, frames, reflection, directions, basis, kept.count))
+    rows = np.asarray(bake.bake_rows(bits, frames, reflection, directions, basis))
+    return kept.compress(rows, np.arange(rows.shape[-1]))
 
 
 def padded_receivers(count: int) -> int:
@@ -42,40 +67,60 @@ def padded_receivers(count: int) -> int:
 
 
 class Rows:
-    """The largest coefficients of every row, the same number in all (Wang 2006 §4.1.1)."""
+    """The largest coefficients of every row, the same number in all (Wang 2006 §4.1.1).
 
-    def __init__(self, settings: Settings):
-        self._count = int(settings.coefficients)
-        self._bits = settings.bits
-        self._basis = HaarFaces(settings.resolution)
-        self._directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-        self._columns = 6 * settings.resolution**2
+    Attributes:
+        count: of coefficients.
+    """
+
+    def __init__(self, count: int, bits: int, spectrum: Float[np.ndarray, " d"]):
+        self.count = count
+        self._bits = bits
+        self._columns = len(spectrum)
+        self._spectrum = spectrum
 
     @property
     def dial(self):
         """What a layer's key has to tell of it."""
-        return self._count if self._bits == 32 else [self._count, self._bits]
+        return self.count if self._bits == 32 else [self.count, self._bits]
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """Indices shared by the channels, and values."""
         shape = GROUP, terms, channels
         return {
-            "indices": ((GROUP, terms, self._count), smallest_index_type(self._columns)),
-            **_coded_layout("values", (*shape, self._count), (*shape, -(-self._count // _RUN)), self._bits),
+            "indices": ((GROUP, terms, self.count), smallest_index_type(self._columns)),
+            **_coded_layout("values", (*shape, self.count), (*shape, -(-self.count // _RUN)), self._bits),
             **_energies(terms, channels),
         }
 
-    def compress(self, bits, frames, reflection: Reflection) -> dict[str, np.ndarray]:
-        """Of direct light."""
-        kept = bake.bake_truncated(bits, frames, reflection, self._directions, self._basis, self._count)
+    def compress(self, rows: Float[np.ndarray, "m k c n"], columns: Int[np.ndarray, " n"]) -> dict[str, np.ndarray]:
+        """The arrays of a layer: the coefficients that matter most under light of the spectrum."""
+        energy = np.square(rows, dtype=np.float64)
+        count = min(self.count, len(columns))
+        weighted = energy.sum(axis=2) * np.square(self._spectrum[columns])
+        chosen = (
+            np.sort(np.argpartition(-weighted, count - 1)[..., :count])
+            if count
+            else np.zeros((*rows.shape[:2], 0), int)
+        )
+        values = np.take_along_axis(rows, chosen[:, :, None], axis=3)
+        total = energy.sum(axis=3)
+        dropped = total - np.square(values, dtype=np.float64).sum(axis=3)
+        # Filling counts nothing, whatever it is of.
+        more = [(0, 0), (0, 0), (0, self.count - count)]
+        indices, values = np.pad(columns[chosen], more), np.pad(values, [*more[:2], (0, 0), more[2]])
+        return self.arrays(Truncated(indices, values, np.maximum(dropped, 0), total))  # pyright: ignore[reportArgumentType]
+
+    def arrays(self, kept: Truncated) -> dict[str, np.ndarray]:
+        """Those of a layer, of a group's rows; they lead with receivers and terms."""
         values = np.asarray(kept.values)
         coded = _coded("values", values, self._bits, _RUN)
         lost = np.square(values - _decoded("values", coded, _RUN)).sum(axis=-1)
         return {
             "indices": np.asarray(kept.indices).astype(smallest_index_type(self._columns)),
             **coded,
-            "dropped": np.asarray(kept.dropped) + lost,
-            "total": np.asarray(kept.total),
+            "dropped": (np.asarray(kept.dropped) + lost).astype(np.float32),
+            "total": np.asarray(kept.total, np.float32),
         }
 
     def open(self, layer: store.Layer) -> Opened:
@@ -93,15 +138,13 @@ class Rows:
 
 
 class Clusters:
-    """As few shared rows over as few coefficients as leave out no more than a tolerance."""
+    """As few shared rows over as few coefficients as leave out no more than a tolerance of light of some spectrum."""
 
-    def __init__(self, settings: Settings):
-        self._tolerance = settings.tolerance
-        self._bits = settings.bits
-        self._basis = HaarFaces(settings.resolution)
-        self._directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-        self._columns = 6 * settings.resolution**2
-        self._spectrum = natural_spectrum(settings.resolution)
+    def __init__(self, tolerance: float, bits: int, spectrum: Float[np.ndarray, " d"]):
+        self._tolerance = tolerance
+        self._bits = bits
+        self._columns = len(spectrum)
+        self._spectrum = spectrum
 
     @property
     def dial(self):
@@ -117,15 +160,8 @@ class Clusters:
             **_energies(terms, channels),
         }
 
-    def compress(self, bits, frames, reflection: Reflection) -> dict[str, np.ndarray]:
-        """Of direct light."""
-        rows = np.asarray(bake.bake_rows(bits, frames, reflection, self._directions, self._basis))
-        return self.compress_rows(rows, np.arange(self._columns))
-
-    def compress_rows(
-        self, rows: Float[np.ndarray, "m k c n"], columns: Int[np.ndarray, " n"]
-    ) -> dict[str, np.ndarray]:
-        """Of rows that are written out over some coefficients, and 0 elsewhere."""
+    def compress(self, rows: Float[np.ndarray, "m k c n"], columns: Int[np.ndarray, " n"]) -> dict[str, np.ndarray]:
+        """The arrays of a layer, of a group's rows that are written out over some coefficients, and 0 elsewhere."""
         m, k, c, n = rows.shape
         found, dropped = cluster(rows.reshape(m * k, c, n), self._spectrum[columns], self._tolerance)
         coded = _coded("basis", np.ascontiguousarray(found.basis.T), self._bits)

@@ -28,12 +28,15 @@ from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_rec
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.local import Light
+from jaxrelight.lights.record import from_records
 from jaxrelight.operators.algebra import InBasis, Summed
 from jaxrelight.operators.contract import Basis, Operator
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
-from jaxrelight.transport.compression import Clusters, compression
+from jaxrelight.transport.compression import compression, of_cloud, shared
+from jaxrelight.transport.gather_cloud import GatherCloud, cloud_receivers
 from jaxrelight.transport.normal_maps import NormalMaps, at_vertices, see
 from jaxrelight.transport.settings import Settings
 
@@ -64,6 +67,25 @@ class Block:
 
 
 @dataclasses.dataclass(frozen=True)
+class LitCloud:
+    """Points that stand for all surfaces, where light comes from that is gathered (Hašan 2006).
+
+    Attributes:
+        points: of the cloud.
+        albedo: theirs.
+        emission: radiance that they emit.
+        between: the operator from light of the cloud to what its points get, over π; None where one bounce is all.
+        slot_of: the row of `between` that each point has.
+    """
+
+    points: GatherCloud
+    albedo: Float[np.ndarray, "g c"]
+    emission: Float[np.ndarray, "g c"]
+    between: Operator | None
+    slot_of: Int[np.ndarray, " g"]
+
+
+@dataclasses.dataclass(frozen=True)
 class Transport:
     """What a store holds, ready to light and to view with.
 
@@ -83,7 +105,10 @@ class Transport:
         rotate_y: of that environment.
         scale: of that environment.
         folder: the store.
-        visibility: the layer of visibility bits.
+        visibility: the layer of visibility bits; None where light is of a cloud.
+        cloud: where light comes from that is not of the sky.
+        lights: the scene's own local lights.
+        material_of_mesh: names; None where no receiver is of that mesh's material.
     """
 
     settings: Settings
@@ -101,7 +126,10 @@ class Transport:
     rotate_y: float
     scale: float
     folder: pathlib.Path
-    visibility: store.Layer
+    visibility: store.Layer | None
+    cloud: LitCloud | None = None
+    lights: tuple[Light, ...] = ()
+    material_of_mesh: tuple[str | None, ...] = ()
 
     @property
     def each(self) -> list[tuple[Block, Operator]]:
@@ -171,8 +199,9 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
     camera = Camera(**header["camera"])
     placed = placed or _placed(folder, header, camera, settings)
     surfaces, receivers = placed.surfaces, placed.receivers
-    visibility = _whole_layer(folder / header["visibility"])
-    if len(receivers.filled) != visibility.groups:
+    cloud = _read_cloud(folder, header, settings) if settings.gather_samples else None
+    visibility = None if cloud else _whole_layer(folder / header["visibility"])
+    if visibility and len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
         raise ValueError("materials and meshes do not belong together")
@@ -186,15 +215,21 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         else:
             reflection = fixed_view(brdf, receivers, groups)
         dropped, emitted = None, None
-        if settings.coefficients == "all":
+        if cloud:
+            layer = _layer_of(folder / record["indirect"], groups)
+            direct = of_cloud(settings, np.ones(settings.gather_samples)).open(layer)
+            operator, dropped = direct.operator, direct.dropped
+            total += float(direct.total.sum(dtype=float)) * 3 / dropped.shape[1]
+        elif settings.coefficients == "all":
+            assert visibility is not None
             operator = streamed(settings, visibility, receivers, groups, reflection)
         else:
             direct = compression(settings).open(_layer_of(folder / record["transport"], groups))
             operator, dropped = direct.operator, direct.dropped
             total += float(direct.total.sum(dtype=float)) * 3 / dropped.shape[1]
-        if settings.bounces:
+        if settings.bounces and not cloud:
             layer = _layer_of(folder / record["bounced"], groups)
-            bounced = Clusters(settings).open(layer)
+            bounced = shared(settings).open(layer)
             if dropped is None:
                 operator = Summed((operator, InBasis(bounced.operator, HaarFaces(settings.resolution))))
             else:
@@ -211,6 +246,7 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped, emission, emitted))
     dropped = [block.dropped for block in blocks if block.dropped is not None]
     left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
+    names = {record["number"]: record["name"] for record in header["materials"]}
     environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
     return Transport(
         settings=settings,
@@ -221,7 +257,7 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         receivers=receivers,
         blocks=tuple(blocks),
         operator=Stacked(tuple(operators)),
-        basis=cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution),
+        basis=_basis(settings),
         kept=1 - left / total if total else 1.0,
         camera=camera,
         environment=store.open_layer(folder / environment["pixels"]) if environment["pixels"] else None,
@@ -229,7 +265,34 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         scale=environment["scale"],
         folder=folder,
         visibility=visibility,
+        cloud=cloud,
+        lights=_read_lights(folder, header.get("lights")),
+        material_of_mesh=tuple(names.get(number) for number in header["material_of_mesh"]),
     )
+
+
+def _basis(settings: Settings) -> Basis:
+    """That of light."""
+    if settings.gather_samples:
+        return HaarFaces(round(settings.gather_samples**0.5), 1)
+    return cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution)
+
+
+def _read_cloud(folder: pathlib.Path, header: dict, settings: Settings) -> LitCloud:
+    layer, reflected = _whole_layer(folder / header["cloud"]), _whole_layer(folder / header["albedo"])
+    points = GatherCloud(*(layer.read(field.name, 0) for field in dataclasses.fields(GatherCloud)))
+    between, receivers = None, cloud_receivers(points)
+    if header["between"]:
+        rows = _layer_of(folder / header["between"], np.arange(len(receivers.filled)))
+        between = of_cloud(settings, np.ones(settings.gather_samples)).open(rows).operator
+    return LitCloud(points, reflected.read("albedo", 0), reflected.read("emission", 0), between, receivers.slot_of)
+
+
+def _read_lights(folder: pathlib.Path, entry: dict | None) -> tuple[Light, ...]:
+    if not entry:
+        return ()
+    layer = _whole_layer(folder / entry["layer"])
+    return from_records(entry["each"], lambda name: layer.read(name, 0))
 
 
 def _placed(folder: pathlib.Path, header: dict, camera: Camera, settings: Settings) -> Placed:

@@ -3,6 +3,7 @@
 import collections
 import dataclasses
 import pathlib
+from collections.abc import Sequence
 
 from jaxrelight import store
 from jaxrelight.brdf.albedo import largest_albedo
@@ -10,6 +11,7 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.scene import Scene
 from jaxrelight.transport.bounce import Gather, remaining
+from jaxrelight.transport.indirect import make_indirect
 from jaxrelight.transport.layers import Made, Report, check_terms_of, make_layers
 from jaxrelight.transport.load import Placed, load
 from jaxrelight.transport.settings import Settings
@@ -64,8 +66,11 @@ def precompute(
         InputError: for a scene that transport cannot be precomputed of; with bounces, where a material reflects all
             light or more.
     """
-    scene.check_distant()
+    if not settings.gather_samples:
+        scene.check_distant()
     scene.check_materials()
+    if settings.gather_samples:
+        return _finished(make_indirect(scene, settings, folder, report, seconds := {}), seconds, [])
     # Bounces pass through vertices, whatever the receivers are.
     checked = _of_pass(settings, 0) if settings.bounces else settings
     for part in scene.parts:
@@ -82,19 +87,24 @@ def precompute(
         gather = Gather(transport, key, settings.gather_resolution, settings.gather == "nearest")
     bounces = len(passes)
     made = make_layers(scene, dataclasses.replace(settings, bounces=bounces), folder, report, seconds, gather)
+    notes = []
+    if bounces < settings.bounces:
+        notes.append(
+            f"{bounces} of {settings.bounces} bounces were made: the others would add {left:.1%} of light at most"
+        )
+    return _finished(made, seconds, passes, notes)
+
+
+def _finished(made: Made, seconds: dict[str, float], passes: Sequence[Made], notes: Sequence[str] = ()) -> Summary:
+    """Writes the store's header."""
     header = {**made.header, "passes": [_layers(one) for one in passes]}
     store.write_header(made.folder, header)
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(made.folder / name)
-    notes = list(made.notes)
-    if bounces < settings.bounces:
-        notes.append(
-            f"{bounces} of {settings.bounces} bounces were made: the others would add {left:.1%} of light at most"
-        )
     rays = made.rays + sum(one.rays for one in passes)
     count = made.placed.receivers.count
-    return Summary(made.folder, seconds, rays, count, dict(nbytes), header, made.placed, tuple(notes))
+    return Summary(made.folder, seconds, rays, count, dict(nbytes), header, made.placed, (*made.notes, *notes))
 
 
 def _of_pass(settings: Settings, bounces: int) -> Settings:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
+from jaxrelight import store
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import Reflection, of_group
@@ -26,10 +27,13 @@ def exact(transport: Transport) -> Transport:
     """The same scene with nothing of direct light left out: rows over all texels, baked from visibility at every use.
 
     The reference that the kept coefficients are measured against; factors and bounced light stay what they are.
+
+    Raises:
+        InputError: of a store for local lights.
     """
-    settings, operators = transport.settings, []
+    settings, operators, visibility = transport.settings, [], _visibility_of(transport)
     for block, old in transport.each:
-        direct = streamed(settings, transport.visibility, transport.receivers, block.groups, block.reflection)
+        direct = streamed(settings, visibility, transport.receivers, block.groups, block.reflection)
         bounced = parts_of(old)[1:]
         if settings.coefficients != "all":
             bounced = [InBasis(one, HaarFaces(settings.resolution)) for one in bounced]
@@ -52,7 +56,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
     group shares, since the few rows that it shares are of the old reflection.
 
     Raises:
-        InputError: of a transport with bounces.
+        InputError: of a transport with bounces, or for local lights.
     """
     settings = transport.settings
     if settings.bounces:
@@ -70,7 +74,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         n = kept.shape[-1]
         values = [
             bake.bake_kept(
-                jnp.asarray(transport.visibility.read("bits", int(group))),
+                jnp.asarray(_visibility_of(transport).read("bits", int(group))),
                 frames[i],
                 of_group(reflection, i),
                 directions,
@@ -99,3 +103,9 @@ def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarra
     for group, support in enumerate(supports):
         kept[group, ..., : len(support)] = support
     return kept, counts
+
+
+def _visibility_of(transport: Transport) -> store.Layer:
+    if transport.visibility is None:
+        raise InputError(f"{transport.folder}: a store for local lights, whose rows are not baked from visibility")
+    return transport.visibility

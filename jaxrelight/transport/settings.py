@@ -27,6 +27,13 @@ class Settings:
         gather_resolution: side of the six faces of the cube map that receivers look around with for bounced light.
         gather: of what they see, take the rows of a face's three corners by their "barycentric" weights, or those of
             the "nearest" one.
+        gather_samples: where it is not 0, light is not of the sky but of local lights: that many points stand for all
+            surfaces, and what they reflect is gathered by pixels (Hašan 2006). A power of four.
+        solid_angle: of those points, far ones are gathered from together where the square of their extent is less than
+            this times that of their distance.
+        near: of points that are near, "disc" keeps the energy; "clamp" is the paper's bound.
+        importance: put more points where they light what the camera sees.
+        seed: of the points' places.
     """
 
     receivers: Literal["vertices", "pixels"] = "vertices"
@@ -40,6 +47,11 @@ class Settings:
     bounces: int = 0
     gather_resolution: int = 32
     gather: Literal["barycentric", "nearest"] = "barycentric"
+    gather_samples: int = 0
+    solid_angle: float = 0.01
+    near: Literal["disc", "clamp"] = "disc"
+    importance: bool = False
+    seed: int = 0
 
     def __post_init__(self):
         def require(good: bool, message: str):
@@ -69,8 +81,24 @@ class Settings:
         side = self.gather_resolution
         require(4 <= side <= 256 and side % 2 == 0, f"gather resolution is {side}; it must be even, from 4 to 256")
         require(self.gather in ("barycentric", "nearest"), f"gather is 'barycentric' or 'nearest', not '{self.gather}'")
+        samples = self.gather_samples
+        if samples:
+            require(
+                isinstance(samples, int)
+                and samples >= 64
+                and samples & (samples - 1) == 0
+                and samples.bit_length() % 2 == 1,
+                f"gather samples are {samples:,}; they must be a power of four: 4,096, 16,384, 65,536, …",
+            )
+            require(
+                self.receivers == "pixels", "light of local lights is gathered by pixels: receivers must be 'pixels'"
+            )
+            require(self.coefficients != "all", "coefficients are 'all'; with gather samples, tolerance 0 keeps all")
+            require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
+            require(self.near in ("disc", "clamp"), f"near is 'disc' or 'clamp', not '{self.near}'")
+            require(self.bounces >= 1, "bounces are 0; of local lights, indirect light has one or more")
         if self.coefficients not in ("shared", "all"):
-            limit = 6 * n * n
+            limit = samples or 6 * n * n
             require(
                 type(self.coefficients) is int and 1 <= self.coefficients <= limit,
                 f"coefficients are {self.coefficients}; from 1 to {limit:,} can be kept at resolution {n}, or they are "

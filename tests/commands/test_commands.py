@@ -70,7 +70,7 @@ def test_help(run, command: str):
         ["render", "scene.toml", "-o", "out.exr", "--resolution", "many"],
         ["render", "scene.toml", "-o", "out.exr", "--receivers", "texels"],
         ["render", "scene.toml", "-o", "out.exr", "--origin", "1", "2"],
-        ["render", "scene.toml", "-o", "out.exr", "--lighting", "indirect"],
+        ["render", "scene.toml", "-o", "out.exr", "--lighting", "bright"],
     ],
     ids=" ".join,
 )
@@ -197,6 +197,11 @@ def test_render_then_again(folder, run):
         "bounces": 0,
         "gather_resolution": 32,
         "gather": "barycentric",
+        "gather_samples": 0,
+        "solid_angle": 0.01,
+        "near": "disc",
+        "importance": False,
+        "seed": 0,
     }
     assert set(first["versions"]) == {"jaxrelight", "jax", "embreex"}
     assert (first["width"], first["height"], first["picture"], first["store"]) == (12, 10, "a.exr", "made")

@@ -47,7 +47,6 @@ def test_the_note_says_what_is_left_out():
     ("arguments", "what"),
     [
         ("both.toml -o out.exr", "transport is of distant light only, and the scene has [[light]]"),
-        ("lamp.toml -o out.exr", "transport is of distant light only, and the scene has [[light]]"),
         ("dark.toml -o out.exr --lighting prefiltered", "the scene has no environment"),
         ("sky.toml -o out.exr --lighting prefiltered --resolution 8", "--resolution is a dial of --lighting transport"),
         ("sky.toml -o out.exr --lighting prefiltered --store x", "--store is a dial of --lighting transport"),

@@ -13,6 +13,7 @@ from tests.commands.running import DIALS, summary_of
 SETTINGS = (
     *("receivers", "resolution", "visibility_samples", "terms", "coefficients", "factor_resolution"),
     *("tolerance", "bits", "bounces", "gather_resolution", "gather"),
+    *("gather_samples", "solid_angle", "near", "importance", "seed"),
 )
 MADE = {"command", "store", "receivers", "operator_bytes", "kept_energy"}
 MADE |= {f"versions.{name}" for name in ("jaxrelight", "jax", "embreex")} | {f"settings.{name}" for name in SETTINGS}
@@ -23,8 +24,8 @@ PICTURE = {"picture", "width", "height", "covered", "mean_radiance"} | {
     f"seconds.{stage}" for stage in ("view", "light_first", "light", "shade", "write", "total")
 }
 KEYS = {
-    "precompute": MADE | DONE | {"seconds.total"},
-    "render": MADE | DONE | PICTURE,
+    "precompute": MADE | DONE | {"lighting", "seconds.total"},
+    "render": MADE | DONE | PICTURE | {"lighting"},
     "relight": MADE - {"receivers"} | PICTURE | {"seconds.open", "seconds.environment"},
     "demo": MADE | DONE - {"seconds.load", "seconds.open"} | {"picture", "seconds.total"} | {
         "milliseconds.change_of_view", "milliseconds.change_of_light", "milliseconds.shading",

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import os
 import pathlib
 import shutil
 import signal
@@ -29,6 +30,7 @@ from jaxrelight.geometry import mesh as meshes
 from jaxrelight.lights.environment import encode
 from jaxrelight.transport import layers as stages
 from jaxrelight.transport.load import stored_environment
+from jaxrelight.transport.material_rows import MaterialRows
 
 # One set of shapes for most of the file: compiling is what takes time here.
 SETTINGS = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
@@ -198,7 +200,7 @@ def test_renamed_material_keeps_its_layers(scene, copy):
 def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, traced: bool, new: set):
     """A key that left out a setting would give the layer of another."""
     # Which layers are asked for shows without baking them.
-    monkeypatch.setattr(stages._Baked, "_complete", lambda *_: None)
+    monkeypatch.setattr(MaterialRows, "_complete", lambda *_: None)
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
     materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
     scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
@@ -330,6 +332,7 @@ def refuse(event, arguments):
         raise PermissionError(13, f"Permission denied: {event} {arguments}")
 sys.addaudithook(refuse)
 from jaxrelight.transport.load import stored_environment
+from jaxrelight.transport.material_rows import MaterialRows
 relighter = jr.Relighter.open(folder)
 relighter.image(stored_environment(relighter.transport), relighter.view())
 try:
@@ -413,7 +416,7 @@ def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
     trace = stages.trace_visibility
     with monkeypatch.context() as patch:
         patch.setattr(stages, "trace_visibility", fail)
-        patch.setattr(stages.os, "cpu_count", lambda: 1)
+        patch.setattr(os, "cpu_count", lambda: 1)
         with pytest.raises(InputError, match="disk full"):
             jr.precompute(scene, SETTINGS, tmp_path / "store")
     with pytest.raises(InputError, match="not finished; run precompute"):

@@ -10,7 +10,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, textured_lambert, white_lambert
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, constant
-from jaxrelight.transport import layers
+from jaxrelight.transport import layer_files
 
 SETTINGS = jr.Settings("pixels", resolution=8, tolerance=0.0)
 SKY = jr.environment(np.random.default_rng(0).random((8, 16, 3)).astype(np.float32))
@@ -108,7 +108,7 @@ def _none():
 def test_shared_factors_are_found_in_the_store_again_and_again_when_damaged(tmp_path, monkeypatch):
     material = Material((Component(_maps([5, 9])),))
     first, _, made = _seen_at(material, tmp_path)
-    monkeypatch.setattr(layers, "factor_spatial", None)
+    monkeypatch.setattr(layer_files, "factor_spatial", None)
     again, _, same = _seen_at(material, tmp_path)
     np.testing.assert_array_equal(again, first)
     assert same.notes == made.notes

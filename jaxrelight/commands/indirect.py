@@ -1,0 +1,74 @@
+"""What `render` and `relight` do with local lights: direct light, and what surfaces make of it."""
+
+import pathlib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from jaxrelight.commands.options import LocalOptions, PictureOptions
+
+if TYPE_CHECKING:
+    from jaxrelight.lights.environment import Environment
+    from jaxrelight.lights.local import Light
+    from jaxrelight.transport.load import Transport
+
+LEAVES_OUT = "caustics, and what glossy surfaces show of each other: only diffusely reflected light is passed on"
+# What a sky is sampled by, for shadows and for the cloud alike.
+SKY_SAMPLES = 256
+
+
+def indirect_picture(
+    transport: "Transport",
+    lights: "Sequence[Light]",
+    environment: "Environment | None",
+    output: pathlib.Path,
+    picture: PictureOptions,
+    dials: LocalOptions,
+    seconds: dict[str, float],
+) -> dict:
+    """Lights a store by local lights and samples of its sky, writes the picture and says what it took.
+
+    Raises:
+        InputError: where there is no light, or layers are asked for in another file than an EXR.
+    """
+    import jax
+    import numpy as np
+
+    from jaxrelight.errors import InputError
+    from jaxrelight.images.files import write_image, write_layers
+    from jaxrelight.lighting.indirect import IndirectRelighter
+    from jaxrelight.lights.sky import sky_of
+    from jaxrelight.transport.groups import timed
+
+    if dials.layers and output.suffix.lower() != ".exr":
+        raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
+    if not (lights or environment or transport.emits):
+        raise InputError("there is no light; give the scene a [[light]], or name lights with --lights FILE")
+    every = [*lights, *([sky_of(environment, SKY_SAMPLES)] if environment else [])]
+    with timed(seconds, "view"):
+        relighter = IndirectRelighter(transport, dials.samples)
+        jax.block_until_ready(relighter.view)
+    behind = environment if picture.background == "environment" else None
+    with timed(seconds, "light_first"):
+        relighter.image(every, behind=behind)
+    with timed(seconds, "cloud"):
+        cloud = jax.block_until_ready(relighter.cloud_light(every))
+    with timed(seconds, "transfer"):
+        jax.block_until_ready(relighter.gathered(relighter.spread(cloud)))
+    with timed(seconds, "light"):
+        image = relighter.image(every, behind=behind)
+    seen = image[..., 3] > 0
+    with timed(seconds, "write"):
+        if dials.layers:
+            write_layers(output, image, relighter.layers(every))
+        else:
+            write_image(output, image, picture.exposure)
+    camera = transport.camera
+    return {
+        "picture": str(output),
+        "width": camera.width,
+        "height": camera.height,
+        "covered": float(image[..., 3].mean()),
+        "mean_radiance": float(np.mean(image[seen][:, :3])) if seen.any() else 0.0,
+        "lights": len(lights),
+        "leaves_out": LEAVES_OUT,
+    }

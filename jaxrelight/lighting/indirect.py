@@ -1,0 +1,188 @@
+"""Lighting by direct-to-indirect transfer: local lights move, and many bounces follow (Hašan 2006 §3)."""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.lighting.antialiasing import joined, nearest_pixels
+from jaxrelight.lighting.prefiltered import Seen, look
+from jaxrelight.lighting.shadows import reached
+from jaxrelight.lighting.transport import Relighter
+from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.local import Light
+from jaxrelight.operators.contract import Operator
+from jaxrelight.transport.load import Transport
+
+
+class IndirectRelighter:
+    """Lights what one camera sees by lights at any place.
+
+        relighter = IndirectRelighter(load(folder))
+        image = relighter.image([jr.point([0, 1, 0], 3)])
+
+    The parts are apart, and differentiable in lights, albedos and light of the cloud, while shadows stand still:
+    `cloud_light` is what the points of the cloud reflect of lights, `spread` adds what they get from each other, and
+    `gathered` what pixels get of it.
+    """
+
+    def __init__(self, transport: Transport, samples: int = 2):
+        """From a store with gather samples.
+
+        Args:
+            transport: of the store.
+            samples: of direct light along each side of a pixel.
+
+        Raises:
+            InputError: for a store of another kind.
+        """
+        if transport.cloud is None:
+            raise InputError(f"{transport.folder}: a store for light of the sky; precompute with gather samples")
+        self.transport, self.cloud = transport, transport.cloud
+        self._samples = samples
+        self._final = Relighter(transport)
+        surfaces, points = transport.surfaces, transport.cloud.points
+        self._places = jnp.asarray(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
+        self._normals = jnp.asarray(points.normals, jnp.float32)
+        self._origins = points.positions + OFFSET * points.face_normals
+        slot, albedo, emission = transport.cloud.slot_of, transport.cloud.albedo, transport.cloud.emission
+        self.albedo, self.emission, self._slot = jnp.asarray(albedo), jnp.asarray(emission), jnp.asarray(slot)
+
+    @functools.cached_property
+    def view(self):
+        """The pixels of the camera."""
+        return self._final.view()
+
+    @functools.cached_property
+    def seen(self) -> Seen:
+        """The samples of direct light."""
+        transport, camera = self.transport, self.transport.camera
+        components = {
+            name: tuple(Component(block.brdf, block.weight) for block in transport.blocks if block.material == name)
+            for name in transport.names
+        }
+        finer = dataclasses.replace(camera, width=self._samples * camera.width, height=self._samples * camera.height)
+        maps = dict(zip(transport.material_of_mesh, transport.normal_maps, strict=True))
+        materials = {name: Material(parts, maps.get(name)) for name, parts in components.items()}
+        return look(transport.surfaces, transport.tracer, finer, transport.material_of_mesh, materials)
+
+    @functools.cached_property
+    def _nearest(self):
+        transport, camera = self.transport, self.transport.camera
+        assert transport.seen is not None
+        angle = 2 * np.tan(np.radians(camera.fov_y) / 2) / camera.height
+        eye = transport.surfaces.to_scene(np.asarray(camera.origin))
+        return jnp.asarray(nearest_pixels(self.seen.gbuffer, transport.seen, eye, float(angle)))
+
+    def cloud_light(
+        self, lights: Sequence[Light], albedo: Float[Array, "g c"] | None = None, shadows: bool = True
+    ) -> Float[Array, "g c"]:
+        """Radiance that the cloud's points emit, and reflect of lights: g_d of the paper."""
+        irradiance = jnp.zeros_like(self._normals)
+        for punctual in (one for light in lights for one in light.parts()):
+            incident = punctual.at(self._places)
+            visible = jnp.ones_like(incident.distance)
+            if shadows:
+                visible = reached(self.transport.tracer, self._origins, self.transport.surfaces.radius, incident)
+            irradiance += _irradiance(incident, self._normals, visible)
+        return (self.albedo if albedo is None else albedo) / np.pi * irradiance + self.emission
+
+    def spread(
+        self, light: Float[Array, "g c"], bounces: int | None = None, albedo: Float[Array, "g c"] | None = None
+    ) -> Float[Array, "g c"]:
+        """(M + I) g: light of the cloud with what its points get from each other, so that pixels see `bounces`.
+
+        Raises:
+            InputError: for more than one bounce where the store is of one.
+        """
+        bounces = self.transport.settings.bounces if bounces is None else bounces
+        if bounces > 1 and self.cloud.between is None:
+            raise InputError(
+                f"{self.transport.folder}: precomputed for one bounce; precompute with --bounces 2 or more"
+            )
+        total = light
+        for _ in range(bounces - 1):
+            more = _between(self.cloud.between, self._encoded(total), self._slot)
+            total = light + (self.albedo if albedo is None else albedo) * more
+        return total
+
+    def gathered(self, light: Float[Array, "g c"], by: Literal["all", "diffuse", "glossy"] = "all"):
+        """Radiance [h, w, c] of the pixels by light of the cloud, as all of their BRDFs reflect it or some of them."""
+        terms = self._final.terms(self._encoded(light))
+        if by != "all":
+            blocks = self.transport.blocks
+            chosen = [block.brdf.is_constant == (by == "diffuse") for block in blocks]
+            terms = tuple(part if one else jnp.zeros_like(part) for part, one in zip(terms, chosen, strict=True))
+        return self._final.shade(terms, self.view)
+
+    def indirect(self, lights: Sequence[Light], bounces: int | None = None) -> Float[Array, "h w c"]:
+        """Radiance of the pixels by light that was reflected at least once on its way to them."""
+        if bounces == 0:
+            return self.gathered(jnp.zeros_like(self._normals))  # what the pixels' own surfaces emit
+        return self.gathered(self.spread(self.cloud_light(lights), bounces))
+
+    def picture(self, lights: Sequence[Light], bounces: int | None = None) -> Float[Array, "h w 3"]:
+        """Several samples of direct light a pixel, and one of indirect light; nothing where no surface is."""
+        return joined(self.seen.lit_by(lights), self.indirect(lights, bounces), self._nearest)
+
+    def image(
+        self, lights: Sequence[Light], bounces: int | None = None, behind: Environment | None = None
+    ) -> Float[np.ndarray, "h w 4"]:
+        """A finished picture, RGBA; an environment behind, which lights nothing here: give a `Sky` of it, too."""
+        found, alpha = np.asarray(self.picture(lights, bounces)), self._pooled(self.seen.covered[..., None])
+        if behind is not None:
+            sky = np.where(self.seen.covered[..., None], 0, np.asarray(self.seen.background(behind)))
+            found = found + self._pooled(sky)
+        return np.concatenate([found, alpha], axis=-1, dtype=np.float32)
+
+    def layers(self, lights: Sequence[Light], bounces: int | None = None) -> dict[str, Float[np.ndarray, "h w 3"]]:
+        """Pictures that add up: direct and indirect light by what reflects it last; and again, of each light.
+
+        "direct", "indirect.diffuse" and "indirect.glossy" are the picture, with "emission" where surfaces emit light;
+        so are "light1", "light2" … with what emission gives them.
+        """
+        black = jnp.zeros((*self.seen.covered.shape, 3))
+        spread = self.spread(self.cloud_light(lights), bounces)
+        own = self.gathered(jnp.zeros_like(spread))
+        found = {"direct": joined(self.seen.lit_by(lights), jnp.zeros_like(own), self._nearest)}
+        for kind in ("diffuse", "glossy"):
+            found[f"indirect.{kind}"] = joined(black, self.gathered(spread, kind) - own, self._nearest)
+        none = 0
+        if self.transport.emits:
+            found["emission"] = joined(black, own, self._nearest)
+            none = self.picture([], bounces)
+        for number, light in enumerate(lights, 1):
+            found[f"light{number}"] = self.picture([light], bounces) - none
+        return {name: np.asarray(picture) for name, picture in found.items()}
+
+    def _pooled(self, samples: np.ndarray) -> Float[np.ndarray, "h w c"]:
+        """Means over the samples of each pixel."""
+        h, w = self.view.shape
+        return samples.reshape(h, self._samples, w, self._samples, -1).mean(axis=(1, 3))
+
+    def _encoded(self, light: Float[Array, "g c"]) -> Float[Array, "g c"]:
+        return _encode(self.transport.basis, light)
+
+
+@jax.jit
+def _irradiance(incident, normals, visible):
+    cosine = jnp.maximum(jnp.sum(incident.omega_i * normals, axis=1), 0)
+    return incident.irradiance * (cosine * visible)[:, None]
+
+
+@jax.jit
+def _encode(basis, light):
+    return basis.encode(light.T).T
+
+
+@jax.jit
+def _between(operator: Operator, light: Float[Array, "g c"], slot) -> Float[Array, "g c"]:
+    return operator.apply(light).at[slot].get(mode="promise_in_bounds")

@@ -1,0 +1,74 @@
+"""Light of a rectangle, by samples of it: soft shadows (Hašan 2006 §6)."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight.errors import InputError
+from jaxrelight.lights.local import Incident, Light, Punctual, from_point, power, vector
+
+
+class Patch(Punctual):
+    """A small flat piece of a surface that emits the same radiance in all directions in front of it.
+
+    Attributes:
+        position: of its centre.
+        normal: of unit length.
+        intensity: radiance times area, along the normal.
+    """
+
+    position: Float[Array, "3"]
+    normal: Float[Array, "3"]
+    intensity: Float[Array, "3"]
+
+    def at(self, positions: Float[Array, "p 3"]) -> Incident:
+        """Falls off with the square of the distance and the cosine of the angle from the normal."""
+        found = from_point(self.position, self.intensity, positions)
+        cosine = jnp.maximum(jnp.matmul(-found.omega_i, self.normal, precision="highest"), 0)
+        return found._replace(irradiance=found.irradiance * cosine[:, None])
+
+
+class Area(Light):
+    """A parallelogram that emits on the side from which its edges u, v turn counter-clockwise.
+
+    Attributes:
+        centre: of it.
+        u: one of its edges.
+        v: the other.
+        radiance: in all directions.
+        samples: patches along each edge.
+    """
+
+    centre: Float[Array, "3"]
+    u: Float[Array, "3"]
+    v: Float[Array, "3"]
+    radiance: Float[Array, "3"]
+    samples: int = eqx.field(static=True)
+
+    def parts(self) -> Sequence[Patch]:
+        """Patches of equal size."""
+        across = jnp.cross(self.u, self.v)
+        area = jnp.sqrt(jnp.sum(across**2))
+        steps = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+        return [
+            Patch(self.centre + a * self.u + b * self.v, across / area, self.radiance * area / self.samples**2)
+            for a in steps
+            for b in steps
+        ]
+
+
+def area(centre, u, v, radiance, samples: int = 4) -> Area:
+    """A rectangle, or any parallelogram, of edges u and v; its shadows are those of samples² points.
+
+    Raises:
+        InputError: for edges along each other, samples outside 1 … 64, or numbers as `point` refuses.
+    """
+    edges = vector("u", u), vector("v", v)
+    if np.linalg.norm(np.cross(*edges)) <= 1e-6 * np.linalg.norm(edges[0]) * np.linalg.norm(edges[1]):
+        raise InputError("an area light's edges u and v lie along each other, or are 0; give it a surface")
+    if not (isinstance(samples, int) and 1 <= samples <= 64):
+        raise InputError(f"an area light's samples along an edge must be from 1 to 64, not {samples!r}")
+    return Area(vector("centre", centre), *edges, power("radiance", radiance), samples)

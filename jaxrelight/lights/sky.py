@@ -1,0 +1,86 @@
+"""Light of a whole sky, by directions to it, each with shadows (Hašan 2006 §6)."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight.basis import latlong
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.morton import morton
+from jaxrelight.lights.environment import Environment, coarsened
+from jaxrelight.lights.local import Directional, Light, power
+
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+
+class Sky(Light):
+    """Distant light from n directions.
+
+    Attributes:
+        directions: to the light, of unit length.
+        irradiance: of each, on a surface that faces it.
+    """
+
+    directions: Float[Array, "n 3"]
+    irradiance: Float[Array, "n 3"]
+
+    def parts(self) -> Sequence[Directional]:
+        """A directional light each."""
+        return [Directional(-one, light) for one, light in zip(self.directions, self.irradiance, strict=True)]
+
+
+def even_sky(radiance, samples: int = 64) -> Sky:
+    """The same radiance from everywhere above the horizon: what it lights is ambient occlusion.
+
+    Raises:
+        InputError: for samples below 1, or numbers as `point` refuses.
+    """
+    _check(samples)
+    # A spiral of equal steps in height, which is equal areas.
+    y = (np.arange(samples) + 0.5) / samples
+    turn = 2 * np.pi * _GOLDEN * np.arange(samples)
+    ring = np.sqrt(1 - y * y)
+    directions = np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], axis=1)
+    irradiance = jnp.broadcast_to(power("radiance", radiance) * (2 * np.pi / samples), (samples, 3))
+    return Sky(jnp.asarray(directions, jnp.float32), irradiance)
+
+
+def sky_of(environment: Environment, samples: int = 256) -> Sky:
+    """An environment as directions that carry equal shares of its light, the colour of each as it is there.
+
+    The map's pixels are put in an order in which neighbours follow each other, and a direction is taken wherever
+    another share of the sum is reached: bright parts get many.
+
+    Raises:
+        InputError: for samples below 1.
+    """
+    _check(samples)
+    pixels = np.asarray(coarsened(environment.pixels, 64), float) * environment.scale
+    h, w = pixels.shape[:2]
+    v, u = (np.indices((h, w)).reshape(2, -1).T + 0.5).T / np.array([[h], [w]])
+    order = np.argsort(morton(np.stack([u, v], axis=1)), kind="stable")
+    light = (pixels * latlong.solid_angles(h, w)[:, None, None]).reshape(-1, 3)[order]
+    sums = np.cumsum(light.sum(axis=1))
+    if not sums[-1] > 0:
+        return Sky(jnp.asarray([[0.0, 1, 0]]), jnp.zeros((1, 3)))
+    share = np.minimum((sums / sums[-1] * samples).astype(int), samples - 1)
+    directions = latlong.directions(u[order] - environment.rotate_y / 360, v[order])
+    weight = light.sum(axis=1)
+
+    def by_share(values):
+        return np.stack([np.bincount(share, column, samples) for column in values.T], axis=1)
+
+    mean = by_share(directions * weight[:, None])
+    length = np.linalg.norm(mean, axis=1)
+    used = length > 0
+    return Sky(
+        jnp.asarray((mean / np.where(used, length, 1)[:, None])[used], jnp.float32),
+        jnp.asarray(by_share(light)[used], jnp.float32),
+    )
+
+
+def _check(samples: int):
+    if not (isinstance(samples, int) and samples >= 1):
+        raise InputError(f"a sky's samples must be 1 or more, not {samples!r}")

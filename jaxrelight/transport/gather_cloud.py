@@ -1,0 +1,191 @@
+"""Points on all surfaces of a scene, which stand for them where light is gathered (Hašan 2006 §4.1)."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxrelight.basis.quadtree import flattened, z_curve
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.receivers import GROUP, Receivers
+from jaxrelight.geometry.surfaces import Surfaces
+
+_GOLDEN = (np.sqrt(5) - 1) / 2
+
+# Parts of what each point stands for, told apart where light is gathered nearby.
+PARTS = 4
+
+# How much points of some positions, normals and areas are worth.
+Worth = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, " p"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class GatherCloud:
+    """A power of four of surface points in scene space, in the order of `quadtree.flattened`: an image, row by row.
+
+    Attributes:
+        positions: on the surface.
+        normals: unit shading normals, on the side that the point stands for.
+        face_normals: unit normals of the faces on that side.
+        areas: of surface, in scene space, that each point stands for.
+        faces: that the points lie on.
+        barycentric: weights of their corners.
+        back: whether they stand for the back of a two-sided mesh.
+        parts: positions of points in the equal parts of what each stands for.
+        part_normals: unit normals of their faces on that side.
+        part_areas: of surface that each part stands for.
+    """
+
+    positions: Float[np.ndarray, "g 3"]
+    normals: Float[np.ndarray, "g 3"]
+    face_normals: Float[np.ndarray, "g 3"]
+    areas: Float[np.ndarray, " g"]
+    faces: Int[np.ndarray, " g"]
+    barycentric: Float[np.ndarray, "g 3"]
+    back: Bool[np.ndarray, " g"]
+    parts: Float[np.ndarray, "g p 3"]
+    part_normals: Float[np.ndarray, "g p 3"]
+    part_areas: Float[np.ndarray, "g p"]
+
+    @property
+    def side(self) -> int:
+        """Of the image."""
+        return round(len(self.positions) ** 0.5)
+
+
+def gather_cloud(
+    surfaces: Surfaces,
+    count: int,
+    importance: Worth | None = None,
+    seed: int = 0,
+    balance: float = 30.0,
+) -> GatherCloud:
+    """Points with a density of the importance, the same everywhere without.
+
+    Triangles larger than what four points stand for are parted into equal ones, of which each is worth what a random
+    point of it is. They are put in an order of which every run is compact, by splits into halves of equal weight across
+    the longest side. Along it the total of area times importance is cut into `count` equal pieces, and each gets a
+    point, and one more in each of its parts: the budget of every half is its weight, but for one point.
+
+    Args:
+        surfaces: of the scene.
+        count: of points; a power of four.
+        importance: of places in scene space, above 0.
+        seed: of where in its piece each point lies.
+        balance: see `flattened`.
+
+    Raises:
+        InputError: for a count that is no power of four from 64 on.
+    """
+    if count < 64 or count & (count - 1) or count.bit_length() % 2 == 0:
+        raise InputError(f"gather samples are {count:,}; they must be a power of four: 4,096, 16,384, 65,536, …")
+    random = np.random.default_rng(seed)
+    face, corners, back = _pieces(surfaces, count)
+    sign = np.where(back, -1.0, 1.0)[:, None]
+    ends = np.einsum("pkc,pcx->pkx", corners, surfaces.vertices[surfaces.faces[face]])
+    weight = area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
+    if importance is not None:
+        inside = np.einsum("pk,pkx->px", _in_triangles(*random.random((2, len(face)))), ends)
+        weight = area * importance(inside, sign * surfaces.face_normals(face), area)
+    order = _compact(ends.mean(axis=1), weight, count)
+    sums = np.cumsum(weight[order])
+
+    def drawn(parts: int) -> list[np.ndarray]:
+        """Positions, face normals, areas, shading normals, faces, weights and sides of points in equal pieces."""
+        n = parts * count
+        places = (np.arange(n) + random.random(n)) * (sums[-1] / n)
+        which = np.minimum(np.searchsorted(sums, places, side="right"), len(order) - 1)
+        piece = order[which]
+        along = np.clip((sums[which] - places) / np.maximum(weight[piece], 1e-300), 0, 1)
+        across = (np.arange(n) * _GOLDEN + random.random()) % 1
+        barycentric = np.einsum("pk,pkc->pc", _in_triangles(along, across), corners[piece])
+        mine = surfaces.faces[face[piece]]
+        positions = np.einsum("pk,pkx->px", barycentric, surfaces.vertices[mine])
+        face_normals = surfaces.face_normals(face[piece])
+        normals = np.einsum("pk,pkx->px", barycentric, surfaces.normals[mine])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = sign[piece] * np.where(length > 1e-9, normals / np.maximum(length, 1e-9), face_normals)
+        areas = sums[-1] / n * area[piece] / weight[piece]
+        return [positions, sign[piece] * face_normals, areas, normals, face[piece], barycentric, back[piece]]
+
+    positions, face_normals, areas, normals, *rest = drawn(1)
+    parts = [array.reshape(count, PARTS, *array.shape[1:]) for array in drawn(PARTS)[:3]]
+    laid_out = flattened(positions, normals, balance)
+    return GatherCloud(*(array[laid_out] for array in (positions, normals, face_normals, areas, *rest, *parts)))
+
+
+def cloud_receivers(cloud: GatherCloud) -> Receivers:
+    """The points themselves as receivers, in their order in groups of the tree: those of a group are alike."""
+    order = z_curve(cloud.side)
+    slot_of = np.empty(len(order), np.int64)
+    slot_of[order] = np.arange(len(order))
+    groups = -(-len(order) // GROUP)
+    # The cloud may be smaller than a group, which is filled up with its first point.
+    member = np.pad(order, (0, groups * GROUP - len(order)), constant_values=order[0]).reshape(groups, GROUP)
+    filled = np.full(groups, min(GROUP, len(order)))
+    normals, face_normals = cloud.normals[member], cloud.face_normals[member]
+    none = np.zeros_like(normals)
+    of_material = np.zeros(groups, np.int64)
+    return Receivers(
+        cloud.positions[member], normals, face_normals, none, None, None, None, of_material, filled, slot_of
+    )
+
+
+def _pieces(
+    surfaces: Surfaces, count: int
+) -> tuple[Int[np.ndarray, " p"], Float[np.ndarray, "p 3 3"], Bool[np.ndarray, " p"]]:
+    """Faces on both of their sides where they have two, large ones in equal parts.
+
+    Returns:
+        Of every piece the face, the barycentric weights of its corners, and whether it is the back.
+    """
+    two_sided = surfaces.two_sided[surfaces.mesh_of_vertex[surfaces.faces[:, 0]]]
+    face = np.concatenate([np.arange(len(surfaces.faces)), np.flatnonzero(two_sided)])
+    back = np.arange(len(face)) >= len(surfaces.faces)
+    ends = surfaces.vertices[surfaces.faces[face]]
+    area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1)
+    steps = np.ceil(np.sqrt(area / (4 * area.sum() / count))).astype(int).clip(1, None)
+    found = []
+    for n in np.unique(steps):
+        corners = _parted(int(n))
+        mine = np.flatnonzero(steps == n)
+        repeated = np.broadcast_to(corners, (len(mine), *corners.shape)).reshape(-1, 3, 3)
+        found.append((np.repeat(face[mine], n * n), repeated, np.repeat(back[mine], n * n)))
+    return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
+
+
+def _parted(n: int) -> Float[np.ndarray, "p 3 3"]:
+    """The corners of n² equal parts of a triangle, in barycentric weights."""
+    i, j = (index.ravel() for index in np.mgrid[:n, :n])
+
+    def weights(a, b):
+        return np.stack([n - a - b, a, b], axis=-1) / n
+
+    upright = np.stack([weights(i, j), weights(i + 1, j), weights(i, j + 1)], axis=1)[i + j < n]
+    turned = np.stack([weights(i + 1, j), weights(i + 1, j + 1), weights(i, j + 1)], axis=1)[i + j < n - 1]
+    return np.concatenate([upright, turned])
+
+
+def _in_triangles(u: Float[np.ndarray, " p"], v: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
+    """Barycentric weights of points that are spread over triangles as (u, v) are over squares."""
+    root = np.sqrt(u)
+    return np.stack([1 - root, root * (1 - v), root * v], axis=1)
+
+
+def _compact(points: Float[np.ndarray, "p 3"], weights: Float[np.ndarray, " p"], pieces: int) -> Int[np.ndarray, " p"]:
+    """An order in which runs of a `pieces`-th of the weight are compact."""
+    order, of_set = np.arange(len(points)), np.zeros(len(points), np.int64)
+    for _ in range(pieces.bit_length() - 1):
+        starts = np.flatnonzero(np.diff(of_set, prepend=-1))
+        number = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(order))))
+        mine = points[order]
+        extent = np.maximum.reduceat(mine, starts) - np.minimum.reduceat(mine, starts)
+        along = mine[np.arange(len(mine)), np.argmax(extent, axis=1)[number]]
+        order = order[np.lexsort((along, number))]
+        sums = np.cumsum(weights[order])
+        # Of the set, up to the middle of each triangle.
+        before = np.where(starts > 0, sums[starts - 1], 0)[number]
+        total = np.add.reduceat(weights[order], starts)[number]
+        of_set = 2 * number + (sums - before - weights[order] / 2 > total / 2)
+    return order

@@ -1,0 +1,84 @@
+"""Layers of what pixels gather from a cloud, and what its points gather from each other (Hašan 2006 §4)."""
+
+import dataclasses
+import functools
+import pathlib
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxrelight import store
+from jaxrelight.brdf.material import white_lambert
+from jaxrelight.brdf.reflection import FixedView, Reflection
+from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.scene import Scene
+from jaxrelight.transport.cloud_spectrum import cloud_spectrum
+from jaxrelight.transport.compression import of_cloud
+from jaxrelight.transport.final_gather import FinalGather
+from jaxrelight.transport.gather_cloud import cloud_receivers, gather_cloud
+from jaxrelight.transport.groups import Report, timed
+from jaxrelight.transport.importance import Importance
+from jaxrelight.transport.layer_files import write_lights, write_once
+from jaxrelight.transport.layers import Made
+from jaxrelight.transport.material_rows import MaterialRows
+from jaxrelight.transport.placing import place
+from jaxrelight.transport.settings import Settings
+from jaxrelight.transport.surface_albedo import SurfaceAlbedo
+
+
+def make_indirect(
+    scene: Scene, settings: Settings, folder: str | pathlib.Path | None, report: Report, seconds: dict[str, float]
+) -> Made:
+    """Makes, or completes, all layers of a scene's pixels and its cloud; see `precompute`.
+
+    Args:
+        scene: checked already.
+        settings: with gather samples.
+        folder: the store.
+        report: as `precompute` takes it.
+        seconds: to which those of each stage are added.
+    """
+    with timed(seconds, "geometry"):
+        here = place(scene, settings, folder)
+    folder, placed, surfaces, tracer = here.folder, here.placed, here.placed.surfaces, here.placed.tracer
+    assert placed.seen is not None
+
+    with timed(seconds, "cloud"):
+        albedo = SurfaceAlbedo(scene, surfaces)
+        worth, worth_key = None, None
+        if settings.importance:
+            worth = Importance(surfaces, tracer, placed.seen, albedo, seed=settings.seed)
+            worth_key = here.receivers_key(albedo.key)
+        cloud_key = store.key_of(here.key, settings.gather_samples, settings.seed, worth_key)
+        cloud = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed)
+        arrays = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
+        write_once(folder / f"cloud-{cloud_key}", arrays)
+        reflected = albedo(cloud.faces, cloud.barycentric, cloud.back, cloud.areas).astype(np.float32)
+        emitted = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces, 0]]].astype(np.float32)
+        albedo_key = store.key_of(cloud_key, reflected, emitted)
+        write_once(folder / f"albedo-{albedo_key}", {"albedo": reflected, "emission": emitted})
+        kept = of_cloud(settings, cloud_spectrum(cloud, surfaces, tracer, settings.seed))
+
+    gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near)
+    dials = kept.dial, settings.solid_angle, settings.near, GROUP
+    between = f"between-{store.key_of(cloud_key, *dials)}" if settings.bounces > 1 else None
+    if between:
+        with timed(seconds, "between"):
+            points = cloud_receivers(cloud)
+            up = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (*points.positions.shape[:2], 3))
+            mine: list[tuple[Reflection, dict]] = [(FixedView(white_lambert(), up), {"between": between})]
+            rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
+            rows.gathered("between", kept, gather, functools.partial(report, "light between surfaces"))
+
+    materials, pixels_key = [], here.receivers_key(cloud_key, *dials)
+    with timed(seconds, "pixels"):
+        for material in here.materials(grey=True):
+            for _, record, key in material.parts:
+                record["indirect"] = f"indirect-{store.key_of(pixels_key, key)}"
+            rows = MaterialRows(folder, placed.receivers, material.groups, [part[:2] for part in material.parts])
+            rows.gathered("indirect", kept, gather, functools.partial(report, f"pixels of {material.name}"))
+            materials += [record for _, record, _ in material.parts]
+
+    layers = {"cloud": f"cloud-{cloud_key}", "albedo": f"albedo-{albedo_key}", "between": between}
+    header = here.header(materials, write_lights(folder, scene.lights), **layers)
+    return Made(folder, header, placed, gather.rays, ())

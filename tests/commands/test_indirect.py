@@ -1,0 +1,108 @@
+"""Local lights by the command: rendered, precomputed, moved without precomputing, and what is refused."""
+
+import pathlib
+
+import numpy as np
+import pytest
+
+from jaxrelight import read_image, write_image
+from jaxrelight.commands import indirect
+from jaxrelight.images.exr import read_channels
+from tests.commands.running import refusal_of, run, summary_of
+
+CAMERA = "[camera]\norigin = [0, 0.6, 1.4]\ntarget = [0, 0.3, -1]\nfov_y = 60\nwidth = 16\nheight = 12\n"
+MATERIALS = (
+    '[material.wall]\ntype = "lambert"\nalbedo = [0.7, 0.5, 0.4]\n'
+    '[material.floor]\ntype = "phong"\ndiffuse = [0.4, 0.4, 0.4]\nspecular = [0.3, 0.3, 0.3]\nexponent = 10\n'
+)
+MESHES = (
+    '[[mesh]]\nprimitive = "plane"\nsize = [2, 2]\nresolution = 8\nmaterial = "floor"\n'
+    '[[mesh]]\nprimitive = "plane"\nsize = [2, 2]\nresolution = 8\nmaterial = "wall"\n'
+    "transform = [[1, 0, 0, 0], [0, 0, -1, 1], [0, 1, 0, -1], [0, 0, 0, 1]]\n"
+)
+LAMP = '[[light]]\ntype = "point"\nposition = [0.3, 0.8, 0]\nintensity = [2, 1, 1]\n'
+MOVED = '[[light]]\ntype = "spot"\nposition = [-0.5, 0.9, 0]\ntarget = [0, 0, -1]\nintensity = 3\ncutoff = 50\n'
+SKY = '[environment]\nfile = "sky.exr"\n'
+FEW = "--gather-samples", "256"
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(indirect, "SKY_SAMPLES", 4)
+    monkeypatch.chdir(tmp_path)
+    write_image("sky.exr", np.full((8, 16, 3), 0.3, np.float32))
+    scene = CAMERA + MATERIALS + MESHES
+    for name, text in {"lamp": scene + LAMP, "both": scene + SKY + LAMP, "dark": scene, "moved": MOVED}.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+
+
+def test_a_scene_with_local_lights_alone_is_lit_by_them_and_what_they_light():
+    arguments = "lamp.toml", "-o", "out.exr", "--store", "made", *FEW
+    summary = summary_of(run("render", *arguments, "--json"))
+    assert summary["lighting"] == "indirect"
+    assert (summary["lights"], summary["settings"]["bounces"]) == (1, 3)
+    assert summary["rays"] > 1000
+    first = read_image("out.exr")
+    again = summary_of(run("render", *arguments, "--json"))
+    assert again["rays"] == 0
+    np.testing.assert_array_equal(read_image("out.exr"), first)
+    direct = summary_of(run("render", "lamp.toml", "-o", "direct.exr", "--lighting", "prefiltered", "--json"))
+    assert 1.02 * direct["mean_radiance"] < summary["mean_radiance"] < 1.6 * direct["mean_radiance"]
+
+
+def test_lights_are_moved_without_precomputing():
+    made = summary_of(run("precompute", "lamp.toml", "-o", "made", *FEW, "--json"))
+    assert made["lighting"] == "indirect"
+    first = summary_of(run("relight", "made", "-o", "own.exr", "--json"))
+    rendered = summary_of(run("render", "lamp.toml", "-o", "same.exr", "--store", "made", *FEW, "--json"))
+    assert first["mean_radiance"] == pytest.approx(rendered["mean_radiance"], rel=1e-6)
+    assert rendered["rays"] == 0
+    summary_of(run("relight", "made", "-o", "moved.exr", "--lights", "moved.toml", "--json"))
+    own, moved = read_image("own.exr"), read_image("moved.exr")
+    assert np.abs(own - moved).mean() > 0.05 * own[..., :3].mean()
+    # A whole scene's lights, too; the sky of the store's scene is none, that of the command line is added.
+    summary_of(run("relight", "made", "-o", "again.exr", "--lights", "lamp.toml", "--json"))
+    np.testing.assert_array_equal(read_image("again.exr"), own)
+    summary_of(run("relight", "made", "-o", "sky.exr", "--env", "sky.exr", "--json"))
+    seen = own[..., 3] == 1
+    assert (read_image("sky.exr")[seen] >= own[seen] - 1e-6).all()
+
+
+def test_layers_add_up():
+    run("render", "both.toml", "-o", "out.exr", "--lighting", "indirect", "--layers", "--background", "none", *FEW)
+    (channels,) = read_channels(pathlib.Path("out.exr"), 10000)
+    for name in "RGB":
+        parts = sum(channels[f"{layer}.{name}"] for layer in ("direct", "indirect.diffuse", "indirect.glossy"))
+        np.testing.assert_allclose(parts, channels[name], rtol=1e-4, atol=1e-5)
+        lights = sum(channels[f"light{number}.{name}"] for number in (1, 2))
+        np.testing.assert_allclose(lights, channels[name], rtol=1e-4, atol=1e-5)
+        assert channels[f"indirect.glossy.{name}"].max() > 0
+    np.testing.assert_array_equal(read_image("out.exr")[..., 0], channels["R"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ("render lamp.toml -o out.exr --gather-samples 100", "gather samples are 100; they must be a power of four"),
+        ("render lamp.toml -o out.exr --resolution 8", "--resolution is a dial of --lighting transport"),
+        ("render lamp.toml -o out.exr --receivers vertices", "--receivers vertices is a dial of --lighting transport"),
+        ("render lamp.toml -o out.exr --no-shadows", "--no-shadows is a dial of --lighting prefiltered"),
+        ("render lamp.toml -o out.exr --bounces 0", "bounces are 0"),
+        ("render lamp.toml -o out.png --layers --gather-samples 64", "only an .exr holds layers"),
+        ("render dark.toml -o out.exr --lighting indirect --gather-samples 64", "there is no light"),
+        ("render both.toml -o out.exr", "the scene has [[light]]; render it with --lighting indirect"),
+        ("precompute lamp.toml -o made --receivers vertices", "--receivers vertices is a dial of --lighting transport"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(arguments, what):
+    assert what in refusal_of(run(*arguments.split()))
+
+
+def test_other_cameras_and_lights_of_other_stores_are_refused():
+    run("precompute", "lamp.toml", "-o", "made", "--gather-samples", "64")
+    assert "precomputed for one camera" in refusal_of(run("relight", "made", "-o", "out.exr", "--width", "5"))
+    assert "has no [[light]]" in refusal_of(run("relight", "made", "-o", "out.exr", "--lights", "dark.toml"))
+    run("precompute", "dark.toml", "-o", "distant", "--resolution", "4")
+    refused = refusal_of(run("relight", "distant", "-o", "out.exr", "--lights", "lamp.toml"))
+    assert "a store for distant light" in refused

@@ -1,0 +1,167 @@
+"""Direct-to-indirect transfer end to end: energy, linearity, gradients, reuse, and what is refused."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import InputError, Part, Scene, Settings
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.lighting.indirect import IndirectRelighter
+from jaxrelight.lights.local import directional, point, spot
+from tests.transport.test_final_gather import kernel_at_parts
+
+SMALL = Settings("pixels", gather_samples=256, bounces=3, tolerance=0.0)
+CAMERA = jr.Camera((0, 0.05, 0.4), (0.1, -0.1, -1), fov_y=70.0, width=12, height=10)
+LAMP = point([0.1, 0.2, 0.05], [1.0, 0.8, 0.6])
+
+
+def inside(resolution: int = 6) -> jr.Mesh:
+    made = jr.box((1, 1, 1), resolution)
+    return dataclasses.replace(made, faces=made.faces[:, ::-1], normals=-made.normals)
+
+
+def room(albedo, emission=None, more: tuple[Part, ...] = (), **materials) -> Scene:
+    wall = Material((Component(jr.lambert(albedo)),), emission=emission)
+    return Scene([Part(inside(), "wall"), *more], {"wall": wall, **materials}, CAMERA)
+
+
+def ball(material: str) -> Part:
+    made = jr.sphere(0.2, 4)
+    return Part(dataclasses.replace(made, vertices=np.add(made.vertices, [0.1, -0.25, -0.2])), material)
+
+
+def opened(scene: Scene, folder, **dials) -> IndirectRelighter:
+    made = jr.precompute(scene, dataclasses.replace(SMALL, **dials), folder)
+    return IndirectRelighter(jr.load(made.folder, made.header, made.placed))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("indirect") / "store"
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return room([0.7, 0.6, 0.5], None, (ball("gloss"),), gloss=jr.phong(0.2, 0.5, 20.0))
+
+
+@pytest.fixture(scope="module")
+def relighter(scene, folder) -> IndirectRelighter:
+    return opened(scene, folder)
+
+
+def test_a_closed_room_that_emits_is_its_series(tmp_path):
+    """E (1 + ρ + … + ρ^B) from all directions."""
+    relighter = opened(room([0.5, 0.4, 0.8], np.ones(3, np.float32)), tmp_path, gather_samples=4096)
+    for bounces in (1, 2, 3):
+        found = np.asarray(relighter.indirect([], bounces))
+        rho = np.array([0.5, 0.4, 0.8])
+        wanted = (1 - rho ** (bounces + 1)) / (1 - rho)
+        np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted, rtol=0.02)
+        assert np.abs(found / wanted - 1).max() < 0.25
+
+
+def test_light_is_linear(relighter):
+    lamps = LAMP, spot([-0.2, 0.3, 0], [0, -0.5, 0], 2.0, 40.0), directional([0.1, -1, 0.2], 0.5)
+    each = [np.asarray(relighter.indirect([lamp])) for lamp in lamps]
+    together = np.asarray(relighter.indirect(lamps))
+    np.testing.assert_allclose(together, sum(each), rtol=1e-4, atol=1e-6)
+    assert all(one.max() > 0.01 for one in each[:2])
+    # Nothing from outside of a closed room.
+    np.testing.assert_array_equal(each[2], 0)
+
+
+def test_more_bounces_are_brighter_by_less(relighter):
+    none, *some = (np.asarray(relighter.indirect([LAMP], bounces)).sum() for bounces in range(4))
+    assert none == 0
+    steps = np.diff([0, *some])
+    assert (steps > 0).all()
+    assert (steps[1:] < 0.8 * steps[:-1]).all()
+
+
+def test_what_is_gathered_is_what_the_cloud_reflects(relighter):
+    """One bounce, pixel by pixel, as a sum over the points, for the diffuse walls."""
+    transport, cloud = relighter.transport, relighter.cloud.points
+    seen = transport.seen
+    assert seen is not None
+    light = np.asarray(relighter.cloud_light([LAMP]))
+    image = np.asarray(relighter.gathered(jnp.asarray(light))).reshape(-1, 3)[seen.covered.reshape(-1)]
+    for pixel in np.flatnonzero(seen.mesh == 0)[::7]:
+        share = kernel_at_parts(cloud, transport.tracer, seen.positions[pixel], seen.face_normals[pixel])
+        np.testing.assert_allclose(image[pixel], np.array([0.7, 0.6, 0.5]) * (share @ light), rtol=0.15, atol=2e-3)
+
+
+def test_codes_and_coefficients_are_near(scene, folder, relighter):
+    wanted = np.asarray(relighter.indirect([LAMP]))
+    for dials, most in (({"tolerance": 0.02, "bits": 8}, 0.05), ({"coefficients": 100}, 0.1)):
+        found = np.asarray(opened(scene, folder, **dials).indirect([LAMP]))
+        assert 0 < np.linalg.norm(found - wanted) < most * np.linalg.norm(wanted)
+
+
+def test_gradients_in_lights_and_albedo(relighter):
+    """Along a random direction, shadows held fixed, against differences."""
+    weights = jnp.asarray(np.random.default_rng(0).uniform(size=(10, 12, 3)), jnp.float32)
+    lamp = spot([0.1, 0.2, 0.05], [-0.3, -0.5, 0.1], [1.0, 0.8, 0.6], 70.0, 30.0)
+
+    def bright(lamp, albedo):
+        light = relighter.spread(relighter.cloud_light([lamp], albedo, shadows=False), 3, albedo)
+        return jnp.sum(weights * relighter.gathered(light))
+
+    gradient = jax.grad(bright, argnums=(0, 1))(lamp, relighter.albedo)
+    leaves, tree = jax.tree.flatten((lamp, relighter.albedo))
+    random = np.random.default_rng(1)
+    along = [jnp.asarray(random.normal(size=leaf.shape), jnp.float32) for leaf in leaves]
+    step = 2e-3
+    ends = [
+        float(
+            bright(*jax.tree.unflatten(tree, [leaf + sign * step * a for leaf, a in zip(leaves, along, strict=True)]))
+        )
+        for sign in (1, -1)
+    ]
+    slope = sum(float(jnp.sum(one * a)) for one, a in zip(jax.tree.leaves(gradient), along, strict=True))
+    assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-2)
+    assert all(np.isfinite(one).all() for one in jax.tree.leaves(gradient))
+
+
+def test_pictures_have_direct_light_of_several_samples(relighter):
+    image = relighter.image([LAMP])
+    assert image.shape == (10, 12, 4)
+    np.testing.assert_array_equal(image[..., 3], 1)
+    direct = relighter.image([LAMP], bounces=0)[..., :3]
+    indirect = np.asarray(relighter.indirect([LAMP]))
+    # Along edges pixels are means of samples that see this and that.
+    off = np.abs(image[..., :3] - direct - indirect)
+    assert np.median(off) < 1e-6
+    assert off.mean() < 0.05 * indirect.mean()
+    assert np.mean(image[..., :3] >= direct - 1e-6) == 1
+
+
+def test_what_is_there_is_used_again(scene, folder, relighter):
+    """Other materials gather nothing anew: what is grey is theirs, too."""
+    times = {path: path.stat().st_mtime_ns for path in folder.rglob("0*")}
+    made = jr.precompute(scene, SMALL, folder)
+    assert made.rays == 0
+    other = room([0.1, 0.2, 0.3], None, (ball("gloss"),), gloss=jr.phong(0.2, 0.5, 20.0))
+    made = jr.precompute(other, SMALL, folder)
+    assert made.rays == 0
+    assert all(path.stat().st_mtime_ns == time for path, time in times.items())
+    darker = np.asarray(opened(other, folder).indirect([LAMP])).sum()
+    assert darker < 0.5 * np.asarray(relighter.indirect([LAMP])).sum()
+
+
+def test_stores_of_another_kind_are_refused(tmp_path):
+    scene = Scene([Part(jr.plane((1, 1), 2), "wall")], {"wall": jr.lambert(0.5)}, jr.Camera((0, 1, 0.1), (0, 0, 0)))
+    jr.precompute(scene, Settings(resolution=4), tmp_path)
+    with pytest.raises(InputError, match="a store for light of the sky"):
+        IndirectRelighter(jr.load(tmp_path))
+
+
+def test_more_bounces_than_precomputed_are_refused(tmp_path):
+    relighter = opened(room(0.5), tmp_path, bounces=1)
+    relighter.indirect([LAMP])
+    with pytest.raises(InputError, match="precomputed for one bounce"):
+        relighter.indirect([LAMP], 2)

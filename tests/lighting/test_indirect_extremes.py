@@ -1,0 +1,107 @@
+"""Indirect light where it is hardest: sizes, strengths, and lights and cameras in bad places."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import InputError, Part, Scene
+from jaxrelight.lights.local import point, spot
+from tests.lighting.test_indirect import CAMERA, LAMP, inside, opened, room
+
+
+def moved(mesh: jr.Mesh, by, scale: float = 1.0) -> jr.Mesh:
+    return dataclasses.replace(mesh, vertices=np.add(np.multiply(mesh.vertices, scale), by))
+
+
+def scaled(scale: float) -> Scene:
+    place = [tuple(scale * x for x in where) for where in (CAMERA.origin, CAMERA.target)]
+    camera = dataclasses.replace(CAMERA, origin=place[0], target=place[1])
+    return Scene([Part(moved(inside(), (0, 0, 0), scale), "wall")], {"wall": jr.lambert([0.7, 0.6, 0.5])}, camera)
+
+
+@pytest.fixture(scope="module")
+def usual(tmp_path_factory):
+    return opened(scaled(1), tmp_path_factory.mktemp("usual"), bounces=2)
+
+
+@pytest.mark.parametrize("scale", [pytest.param(1e-3, marks=pytest.mark.slow), 1e3])
+def test_size_does_not_matter(usual, tmp_path, scale):
+    lamp = point(scale * np.asarray(LAMP.position), scale**2 * LAMP.intensity)
+    found = opened(scaled(scale), tmp_path, bounces=2).indirect([lamp])
+    np.testing.assert_allclose(found, usual.indirect([LAMP]), rtol=2e-2, atol=2e-3)
+
+
+def test_strong_lights_are_weak_ones_times_their_strength(usual):
+    strong = point(LAMP.position, 1e6 * LAMP.intensity)
+    np.testing.assert_allclose(usual.image([strong])[..., :3], 1e6 * usual.image([LAMP])[..., :3], rtol=1e-4)
+
+
+PLACES = {"on": [0.1, -0.5, 0.1], "in": [0.1, -0.55, 0.1], "corner": [0.5, 0.5, 0.5], "outside": [5, 5, 5]}
+
+
+@pytest.mark.parametrize(
+    "name", ["on", *(pytest.param(other, marks=pytest.mark.slow) for other in ("in", "corner", "outside"))]
+)
+def test_lights_in_bad_places_give_finite_light_and_gradients(usual, name):
+    place = PLACES[name]
+    image = usual.image([point(place, 1.0)])
+    assert np.isfinite(image).all()
+    if name == "outside":
+        assert image[..., :3].max() == 0
+
+    def bright(lamp):
+        return jnp.sum(usual.gathered(usual.spread(usual.cloud_light([lamp], shadows=False))))
+
+    gradient = jax.grad(bright)(spot(place, [0, 0, 0], 1.0, 60.0))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_a_light_at_a_point_of_the_cloud(usual):
+    place = np.asarray(usual.cloud.points.positions[7] * usual.transport.surfaces.radius)
+    assert np.isfinite(usual.image([point(place + usual.transport.surfaces.centre, 1.0)])).all()
+
+
+def test_rooms_that_no_light_reaches_are_black(tmp_path):
+    """Another closed room beside this one, which is lit; with importance, too, which has no use for it."""
+    beside = Part(moved(inside(), (3, 0, 0)), "wall")
+    for importance in (False, True):
+        relighter = opened(room([0.7, 0.6, 0.5], None, (beside,)), tmp_path, bounces=2, importance=importance)
+        assert abs(relighter.indirect([point([3, 0.2, 0], 1.0)])).max() < 1e-6
+        assert relighter.indirect([LAMP]).max() > 0.1
+
+
+def test_a_camera_inside_an_object_sees_its_dark_inside(tmp_path):
+    around = Part(moved(jr.sphere(0.2, 3), CAMERA.origin), "wall")
+    image = opened(Scene([around], {"wall": jr.lambert(0.5)}, CAMERA), tmp_path).image([LAMP])
+    np.testing.assert_allclose(image[..., :3], 0, atol=1e-6)
+
+
+def test_a_camera_that_sees_nothing_is_refused(tmp_path):
+    away = Part(moved(jr.sphere(0.2, 3), (0, 0, 9)), "wall")
+    with pytest.raises(InputError, match="the camera sees no surface"):
+        opened(Scene([away], {"wall": jr.lambert(0.5)}, CAMERA), tmp_path)
+
+
+def test_double_precision_gradients(usual):
+    """In position, direction, intensity and cone, shadows held fixed, against differences."""
+    with jax.enable_x64(True):
+        wide = jax.tree.map(lambda x: x.astype(jnp.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, LAMP)
+        lamp = spot(wide.position, [-0.3, -0.5, 0.1], [1.0, 0.8, 0.6], 70.0, 30.0)
+        lamp = jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), lamp)
+        weights = jnp.asarray(np.random.default_rng(0).uniform(size=(len(usual.albedo), 3)))
+
+        def bright(lamp):
+            incident = lamp.at(jnp.asarray(usual._places, jnp.float64))
+            cosine = jnp.maximum(jnp.sum(incident.omega_i * jnp.asarray(usual._normals, jnp.float64), axis=1), 0)
+            return jnp.sum(weights * incident.irradiance * cosine[:, None])
+
+        gradient = jax.grad(bright)(lamp)
+        along = jax.tree.map(lambda x: jnp.asarray(np.random.default_rng(1).normal(size=x.shape)), lamp)
+        step = 1e-6
+        ends = [bright(jax.tree.map(lambda x, a, s=s: x + s * step * a, lamp, along)) for s in (1, -1)]
+        slope = sum(jnp.sum(g * a) for g, a in zip(jax.tree.leaves(gradient), jax.tree.leaves(along), strict=True))
+        assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-6)
