@@ -16,6 +16,22 @@ LEAVES_OUT = "caustics, and what glossy surfaces show of each other: only diffus
 SKY_SAMPLES = 256
 
 
+def check_indirect(lights, environment, emits: bool, output: pathlib.Path, dials: LocalOptions):
+    """Finds before long work what no picture could be made of.
+
+    Raises:
+        InputError: where there is no light, samples are none, or layers are asked for in another file than an EXR.
+    """
+    from jaxrelight.errors import InputError
+
+    if not 1 <= dials.samples <= 16:
+        raise InputError(f"--samples is {dials.samples}; it must be from 1 to 16")
+    if dials.layers and output.suffix.lower() != ".exr":
+        raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
+    if not (lights or environment or emits):
+        raise InputError("there is no light; give the scene a [[light]], or name lights with --lights FILE")
+
+
 def indirect_picture(
     transport: "Transport",
     lights: "Sequence[Light]",
@@ -25,24 +41,15 @@ def indirect_picture(
     dials: LocalOptions,
     seconds: dict[str, float],
 ) -> dict:
-    """Lights a store by local lights and samples of its sky, writes the picture and says what it took.
-
-    Raises:
-        InputError: where there is no light, or layers are asked for in another file than an EXR.
-    """
+    """Lights a store by local lights and samples of its sky, writes the picture and says what it took."""
     import jax
     import numpy as np
 
-    from jaxrelight.errors import InputError
     from jaxrelight.images.files import write_image, write_layers
     from jaxrelight.lighting.indirect import IndirectRelighter
     from jaxrelight.lights.sky import sky_of
     from jaxrelight.transport.groups import timed
 
-    if dials.layers and output.suffix.lower() != ".exr":
-        raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
-    if not (lights or environment or transport.emits):
-        raise InputError("there is no light; give the scene a [[light]], or name lights with --lights FILE")
     every = [*lights, *([sky_of(environment, SKY_SAMPLES)] if environment else [])]
     with timed(seconds, "view"):
         relighter = IndirectRelighter(transport, dials.samples)
@@ -50,7 +57,7 @@ def indirect_picture(
     behind = environment if picture.background == "environment" else None
     with timed(seconds, "light_first"):
         relighter.image(every, behind=behind)
-    with timed(seconds, "cloud"):
+    with timed(seconds, "cloud_light"):
         cloud = jax.block_until_ready(relighter.cloud_light(every))
     with timed(seconds, "transfer"):
         jax.block_until_ready(relighter.gathered(relighter.spread(cloud)))

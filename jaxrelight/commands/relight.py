@@ -58,7 +58,7 @@ class Relight:
         summarize({**store, **picture, **describe(transport), "seconds": seconds}, self.json)
 
     def _indirect(self, transport: "Transport", seconds: dict) -> dict:
-        from jaxrelight.commands.indirect import indirect_picture
+        from jaxrelight.commands.indirect import check_indirect, indirect_picture
         from jaxrelight.commands.progress import notes
         from jaxrelight.errors import InputError
         from jaxrelight.scene import load_lights
@@ -69,6 +69,7 @@ class Relight:
         lights = load_lights(self.lights) if self.lights else transport.lights
         own, asked = stored_environment(transport), self.light != LightOptions()
         environment = self.light.environment(own) if own or asked else None
+        check_indirect(lights, environment, transport.emits, self.output, self.local)
         notes(environment.notes if environment else ())
         arguments = lights, environment, self.output, self.picture, self.local, seconds
         return indirect_picture(transport, *arguments)

@@ -95,7 +95,7 @@ class Render:
         return {**made, **picture, **describe(transport)}
 
     def _indirect(self, scene: "Scene", seconds: dict) -> dict:
-        from jaxrelight.commands.indirect import indirect_picture
+        from jaxrelight.commands.indirect import check_indirect, indirect_picture
         from jaxrelight.commands.progress import notes
         from jaxrelight.commands.relight import describe
         from jaxrelight.errors import InputError
@@ -105,6 +105,7 @@ class Render:
             raise InputError("--receivers vertices is a dial of --lighting transport; leave it out")
         asked = self.light != LightOptions()
         environment = self.light.environment(scene.environment) if scene.environment or asked else None
+        check_indirect(scene.lights, environment, scene.emits, self.output, self.local)
         notes(dict.fromkeys((*scene.notes, *(environment.notes if environment else ()))))
         made, transport = self._made(scene, self.cloud.settings(self.dials), seconds)
         arguments = scene.lights, environment, self.output, self.picture, self.local, seconds

@@ -26,7 +26,7 @@ A picture (render, relight; demo: picture alone):
     mean_radiance    of those, all channels
 
 Indirect lighting: lights (how many local ones), leaves_out (what the method does not transfer); seconds has cloud,
-between and pixels where it is precomputed; of a picture cloud (what its points reflect of lights), transfer (what
+between and pixels where it is precomputed; of a picture cloud_light (what its points reflect of lights), transfer (what
 pixels get of that) and light (all, with direct light).
 
 render --lighting prefiltered: lights (how many), maps_bytes (of the prefiltered environment); seconds has view,

@@ -94,6 +94,8 @@ class Settings:
                 self.receivers == "pixels", "light of local lights is gathered by pixels: receivers must be 'pixels'"
             )
             require(self.coefficients != "all", "coefficients are 'all'; with gather samples, tolerance 0 keeps all")
+            seed = self.seed
+            require(type(seed) is int and seed >= 0, f"seed is {seed!r}; it must be a whole number, 0 or more")
             require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
             require(self.near in ("disc", "clamp"), f"near is 'disc' or 'clamp', not '{self.near}'")
             require(self.bounces >= 1, "bounces are 0; of local lights, indirect light has one or more")

@@ -89,14 +89,17 @@ def test_layers_add_up():
         ("render lamp.toml -o out.exr --receivers vertices", "--receivers vertices is a dial of --lighting transport"),
         ("render lamp.toml -o out.exr --no-shadows", "--no-shadows is a dial of --lighting prefiltered"),
         ("render lamp.toml -o out.exr --bounces 0", "bounces are 0"),
+        ("render lamp.toml -o out.exr --samples 0", "--samples is 0; it must be from 1 to 16"),
+        ("render lamp.toml -o out.exr --seed -1", "seed is -1; it must be a whole number, 0 or more"),
         ("render lamp.toml -o out.png --layers --gather-samples 64", "only an .exr holds layers"),
         ("render dark.toml -o out.exr --lighting indirect --gather-samples 64", "there is no light"),
         ("render both.toml -o out.exr", "the scene has [[light]]; render it with --lighting indirect"),
         ("precompute lamp.toml -o made --receivers vertices", "--receivers vertices is a dial of --lighting transport"),
     ],
 )
-def test_what_does_not_go_together_is_refused(arguments, what):
+def test_what_does_not_go_together_is_refused_before_work(arguments, what, tmp_path):
     assert what in refusal_of(run(*arguments.split()))
+    assert not (tmp_path / "cache" / "jaxrelight").exists()
 
 
 def test_other_cameras_and_lights_of_other_stores_are_refused():
