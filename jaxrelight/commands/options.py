@@ -71,7 +71,7 @@ class CloudOptions:
 
     gather_samples: int = 16384
     """How many points; a power of four. More show smaller shadows in indirect light; time and bytes grow with them."""
-    solid_angle: float = 0.01
+    solid_angle: float = 0.03
     """Points that are far for their distance from each other are gathered from together: where the square of their
     extent is less than this times that of their distance."""
     near: Literal["disc", "clamp"] = "disc"

@@ -15,7 +15,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lighting.antialiasing import joined, nearest_pixels
 from jaxrelight.lighting.prefiltered import Seen, look
-from jaxrelight.lighting.shadows import reached
+from jaxrelight.lighting.shadows import Shadows
 from jaxrelight.lighting.transport import Relighter
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Light
@@ -50,9 +50,10 @@ class IndirectRelighter:
         self._samples = samples
         self._final = Relighter(transport)
         surfaces, points = transport.surfaces, transport.cloud.points
-        self._places = jnp.asarray(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
+        places = jnp.asarray(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
         self._normals = jnp.asarray(points.normals, jnp.float32)
-        self._origins = points.positions + OFFSET * points.face_normals
+        lifted = points.positions + OFFSET * points.face_normals
+        self.shadows = Shadows(transport.tracer, lifted, places, self._normals, surfaces.radius)
         slot, albedo, emission = transport.cloud.slot_of, transport.cloud.albedo, transport.cloud.emission
         self.albedo, self.emission, self._slot = jnp.asarray(albedo), jnp.asarray(emission), jnp.asarray(slot)
 
@@ -88,10 +89,7 @@ class IndirectRelighter:
         """Radiance that the cloud's points emit, and reflect of lights: g_d of the paper."""
         irradiance = jnp.zeros_like(self._normals)
         for punctual in (one for light in lights for one in light.parts()):
-            incident = punctual.at(self._places)
-            visible = jnp.ones_like(incident.distance)
-            if shadows:
-                visible = reached(self.transport.tracer, self._origins, self.transport.surfaces.radius, incident)
+            incident, visible = self.shadows.arriving(punctual, shadows)
             irradiance += _irradiance(incident, self._normals, visible)
         return (self.albedo if albedo is None else albedo) / np.pi * irradiance + self.emission
 

@@ -30,7 +30,7 @@ from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lighting.pixels import Pixels, padded
-from jaxrelight.lighting.shadows import reached
+from jaxrelight.lighting.shadows import Shadows
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Incident, Light
 from jaxrelight.lights.prefiltered import Prefiltered
@@ -67,12 +67,12 @@ class SeenComponent:
 
 @dataclasses.dataclass(frozen=True)
 class SeenMaterial:
-    """A material, and the pixels that see it; `rays` are origins in scene space of rays from them, without padding."""
+    """A material, and the pixels that see it, with what lights reach of them."""
 
     name: str
     components: tuple[SeenComponent, ...]
     pixels: SurfacePixels
-    rays: Float[np.ndarray, "r 3"]
+    shadows: Shadows
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,14 +82,10 @@ class Seen:
     Attributes:
         materials: those that are seen.
         gbuffer: the surface points.
-        radius: length of scene space's unit in the world.
-        tracer: for rays to the lights.
     """
 
     materials: tuple[SeenMaterial, ...]
     gbuffer: GBuffer
-    radius: float
-    tracer: Tracer
 
     @property
     def covered(self) -> Bool[np.ndarray, "h w"]:
@@ -138,10 +134,7 @@ class Seen:
         image = self._black()
         for punctual in (one for light in lights for one in light.parts()):
             for part in self.materials:
-                incident = punctual.at(part.pixels.position)
-                visible = jnp.ones_like(incident.distance)
-                if shadows:
-                    visible = reached(self.tracer, part.rays, self.radius, incident)
+                incident, visible = part.shadows.arriving(punctual, shadows)
                 for component in part.components:
                     found = _lit(component.brdf, component.weight, part.pixels, incident, visible, texels)
                     image = image.at[part.pixels.pixel].add(found, mode="drop")
@@ -224,8 +217,9 @@ def look(
                 position=jax.device_put(padded(world, mine)),
             )
             components = tuple(seen_component(part, minification) for part in materials[name].components)
-            parts.append(SeenMaterial(name, components, pixels, lifted[mine]))
-    return Seen(tuple(parts), gbuffer, surfaces.radius, tracer)
+            shadows = Shadows(tracer, lifted[mine], pixels.position, frame[:, 2], surfaces.radius)
+            parts.append(SeenMaterial(name, components, pixels, shadows))
+    return Seen(tuple(parts), gbuffer)
 
 
 def seen_component(part: Component, minification: Minification = "levels") -> SeenComponent:

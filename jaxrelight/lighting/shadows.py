@@ -1,31 +1,96 @@
 """Shadow rays from points to lights, inside differentiable functions: they stand still in derivatives."""
 
+import collections
+import concurrent.futures
+import hashlib
+import os
+
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.geometry.tracer import OFFSET, Tracer
-from jaxrelight.lights.local import Incident
+from jaxrelight.lights.local import Incident, Punctual
+
+# Rays that are worth a thread of their own.
+_EACH = 8192
+# Of what was found for lights before, in bits of all points: a sky of 256 at a million of them.
+_KEPT = 64 << 20
 
 
-def reached(tracer: Tracer, origins: Float[np.ndarray, "r 3"], radius: float, incident: Incident) -> Float[Array, " p"]:
-    """1 where nothing stands between a point and the light; 0 in shadow, and for points past the origins.
+class Shadows:
+    """What lights reach of fixed points. A light that comes again from where it was costs no rays.
 
-    Args:
-        tracer: of the scene.
-        origins: the points in scene space, lifted off their surfaces.
-        radius: length of scene space's unit in the world.
-        incident: the light at the points, and at others that follow them as padding.
+    Attributes:
+        origins: of the rays, in scene space.
+        positions: of the points in the world, and padding.
     """
 
-    def trace(omega_i, distance):
-        count = len(origins)
+    def __init__(
+        self,
+        tracer: Tracer,
+        origins: Float[np.ndarray, "r 3"],
+        positions: Float[Array, "p 3"],
+        normals: Float[Array, "p 3"],
+        radius: float,
+    ):
+        """Of points, and others that follow them as padding.
+
+        Args:
+            tracer: of the scene.
+            origins: the points in scene space, lifted off their surfaces.
+            positions: theirs in the world.
+            normals: rays start where light comes from in front alone.
+            radius: length of scene space's unit in the world.
+        """
+        self.origins = np.ascontiguousarray(origins, np.float32)
+        self._tracer, self._radius = tracer, radius
+        self.positions, self._normals = positions, normals
+        self._kept: collections.OrderedDict[bytes, np.ndarray] = collections.OrderedDict()
+
+    def arriving(self, punctual: Punctual, shadows: bool = True) -> tuple[Incident, Float[Array, " p"]]:
+        """A light at the points, and 1 where nothing stands between; 0 in shadow, behind, and for padding.
+
+        Without shadows, 1 everywhere.
+        """
+        incident, lit = _arriving(punctual, self.positions, self._normals)
+        if not shadows:
+            return incident, jnp.ones_like(incident.distance)
+        shape = jax.ShapeDtypeStruct(incident.distance.shape, np.float32)
+        given = jax.lax.stop_gradient((incident.omega_i, incident.distance))
+        return incident, jax.pure_callback(self._traced, shape, *given, lit, vmap_method="sequential")
+
+    def _traced(self, omega_i, distance, lit) -> Float[np.ndarray, " p"]:
+        count = len(self.origins)
+        asked = np.flatnonzero(np.asarray(lit)[:count])
         found = np.zeros(len(distance), np.float32)
-        # Not as far as the light, so that a lamp's own surface does not hide it.
-        near = distance[:count] / radius - 2 * OFFSET
-        found[:count] = ~tracer.blocked(origins, omega_i[:count], near)
+        towards, far = np.asarray(omega_i)[asked], np.asarray(distance)[asked]
+        key = hashlib.blake2b()
+        for array in (asked, towards, far):
+            key.update(array.data)
+        bits = self._kept.pop(key.digest(), None)
+        if bits is None:
+            # Not as far as the light, so that a lamp's own surface does not hide it.
+            bits = np.packbits(~self._blocked(asked, towards, far / self._radius - 2 * OFFSET))
+        self._kept[key.digest()] = bits
+        while len(self._kept) > 1 and sum(map(len, self._kept.values())) > _KEPT:
+            self._kept.popitem(last=False)
+        found[asked] = np.unpackbits(bits, count=len(asked))
         return found
 
-    shape = jax.ShapeDtypeStruct(incident.distance.shape, np.float32)
-    given = jax.lax.stop_gradient((incident.omega_i, incident.distance))
-    return jax.pure_callback(trace, shape, *given, vmap_method="sequential")
+    def _blocked(self, asked, towards, near):
+        parts = np.array_split(np.arange(len(asked)), min(os.cpu_count() or 1, 1 + len(asked) // _EACH))
+        with concurrent.futures.ThreadPoolExecutor(len(parts)) as pool:
+            found = pool.map(
+                lambda mine: self._tracer.blocked(self.origins[asked[mine]], towards[mine], near[mine]), parts
+            )
+            return np.concatenate(list(found))
+
+
+@eqx.filter_jit
+def _arriving(punctual: Punctual, positions, normals):
+    incident = punctual.at(positions)
+    in_front = jnp.sum(incident.omega_i * normals, axis=1) > 0
+    return incident, in_front if incident.within is None else in_front & incident.within

@@ -28,7 +28,7 @@ class Patch(Punctual):
         """Falls off with the square of the distance and the cosine of the angle from the normal."""
         found = from_point(self.position, self.intensity, positions)
         cosine = jnp.maximum(jnp.matmul(-found.omega_i, self.normal, precision="highest"), 0)
-        return found._replace(irradiance=found.irradiance * cosine[:, None])
+        return found._replace(irradiance=found.irradiance * cosine[:, None], within=cosine > 0)
 
 
 class Area(Light):

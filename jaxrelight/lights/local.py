@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrelight import safe
 from jaxrelight.errors import InputError
@@ -20,11 +20,13 @@ class Incident(NamedTuple):
         omega_i: unit direction to the light.
         distance: to it in world units; infinite for a distant light.
         irradiance: on a surface that faces it.
+        within: where light can arrive, however strong it is; everywhere without. No shadow rays start elsewhere.
     """
 
     omega_i: Float[Array, "p 3"]
     distance: Float[Array, " p"]
     irradiance: Float[Array, "p 3"]
+    within: Bool[Array, " p"] | None = None
 
 
 class Light(eqx.Module):
@@ -80,7 +82,7 @@ class Spot(Punctual):
         width = self.cutoff - self.beam
         soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
         share = jnp.where(width > 0, jnp.clip(soft, 0, 1), (angle <= self.cutoff).astype(angle.dtype))
-        return found._replace(irradiance=found.irradiance * share[:, None])
+        return found._replace(irradiance=found.irradiance * share[:, None], within=share > 0)
 
 
 class Directional(Punctual):

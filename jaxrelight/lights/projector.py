@@ -42,7 +42,8 @@ class Projector(Punctual):
         seen = [
             jax.scipy.ndimage.map_coordinates(self.image[..., c], places, order=1, mode="nearest") for c in range(3)
         ]
-        return found._replace(irradiance=jnp.where(inside[:, None], found.irradiance * jnp.stack(seen, axis=1), 0))
+        irradiance = jnp.where(inside[:, None], found.irradiance * jnp.stack(seen, axis=1), 0)
+        return found._replace(irradiance=irradiance, within=inside)
 
 
 def projector(position, target, image, fov_y: float, up=(0.0, 1.0, 0.0)) -> Projector:

@@ -55,7 +55,7 @@ class Shaped(Punctual):
         share = jnp.where(in_front, 1 - _smooth(edge), 0)
         share *= _smooth(_between(found.distance, self.near)) * (1 - _smooth(_between(found.distance, self.far)))
         fallen = safe.power(self.reference / jnp.maximum(found.distance, 1e-6), self.falloff) / self.reference**2
-        return found._replace(irradiance=self.intensity * (share * fallen)[:, None])
+        return found._replace(irradiance=self.intensity * (share * fallen)[:, None], within=share > 0)
 
     def _reach(self, place: Float[Array, "p 2"], angles: Float[Array, "2"]) -> Float[Array, " p"]:
         exponent = 2 / jnp.maximum(self.roundness, 0.05)

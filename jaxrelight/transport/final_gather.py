@@ -95,7 +95,7 @@ class FinalGather:
         rays: traced so far.
     """
 
-    def __init__(self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.01, near: Near = "disc"):
+    def __init__(self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.03, near: Near = "disc"):
         """Of receivers in the cloud's scene.
 
         Args:

@@ -48,7 +48,7 @@ class Settings:
     gather_resolution: int = 32
     gather: Literal["barycentric", "nearest"] = "barycentric"
     gather_samples: int = 0
-    solid_angle: float = 0.01
+    solid_angle: float = 0.03
     near: Literal["disc", "clamp"] = "disc"
     importance: bool = False
     seed: int = 0

@@ -161,8 +161,8 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
     scene = load_scene(shared("reference", "spot_lafortune.toml"))
     seen = look_at(dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size[0], height=size[1])))
     part = next(part for part in seen.materials if part.name == "object")
-    brdf, count = part.components[0].brdf, len(part.rays)
-    some = np.sort(np.random.default_rng(0).choice(count, min(count, SUBSET), replace=False))
+    brdf, pixels_of_it = part.components[0].brdf, len(part.shadows.origins)
+    some = np.sort(np.random.default_rng(0).choice(pixels_of_it, min(pixels_of_it, SUBSET), replace=False))
     few = jax.tree.map(lambda leaf: leaf[some], part.pixels)
     rows = []
     for name, pixels in skies.items():
@@ -190,7 +190,7 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
             rows.append([*row, *map(str, times.values()), f"{'' if enough else '> '}{ratio:,.0f}×"])
     report.text(
         f"**Against sampling by the BRDF**: the reference scene of a Lafortune cow, no shadows, {size[0]}×{size[1]}, "
-        f"{len(part.rays):,} pixels of it, errors over {len(some):,} of them against quadrature over all pixels of the "
+        f"{pixels_of_it:,} pixels of it, errors over {len(some):,} of them against quadrature over all pixels of the "
         "map. Samples are drawn by the lobes from a rank-one lattice, turned in every pixel by its own numbers, and "
         "look the map up at their place, or filtered over what each stands for (Křivánek and Colbert 2008). The last "
         f"column: the time of as many samples as are no worse, in proportion to that of {SAMPLES[0]}, over that of the "

@@ -95,7 +95,7 @@ def test_double_precision_gradients(usual):
         weights = jnp.asarray(np.random.default_rng(0).uniform(size=(len(usual.albedo), 3)))
 
         def bright(lamp):
-            incident = lamp.at(jnp.asarray(usual._places, jnp.float64))
+            incident = lamp.at(jnp.asarray(usual.shadows.positions, jnp.float64))
             cosine = jnp.maximum(jnp.sum(incident.omega_i * jnp.asarray(usual._normals, jnp.float64), axis=1), 0)
             return jnp.sum(weights * incident.irradiance * cosine[:, None])
 
