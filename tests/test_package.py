@@ -31,7 +31,7 @@ LAYERS = (
     ("transport.load",),
     ("mesh_scene",),
     ("transport.bounce", "transport.rebake", "transport.layer_files"),
-    ("transport.final_gather", "transport.placing", "transport.material_rows"),
+    ("transport.final_gather", "transport.photon_gather", "transport.placing", "transport.material_rows"),
     ("transport.layers",),
     ("transport.indirect",),
     ("transport.precompute",),

@@ -99,15 +99,19 @@ class IndirectRelighter:
         """(M + I) g: light of the cloud with what its points get from each other, so that pixels see `bounces`.
 
         Raises:
-            InputError: for more than one bounce where the store is of one.
+            InputError: for more than one bounce where the store is of one; where photons were shot, for others than
+                the store's.
         """
         bounces = self.transport.settings.bounces if bounces is None else bounces
         if bounces > 1 and self.cloud.between is None:
             raise InputError(
                 f"{self.transport.folder}: precomputed for one bounce; precompute with --bounces 2 or more"
             )
+        photons, most = self.transport.settings.photons, self.transport.settings.bounces
+        if photons and bounces not in (1, most):
+            raise InputError(f"{self.transport.folder}: photons were shot for {most} bounces, not {bounces}")
         total = light
-        for _ in range(bounces - 1):
+        for _ in range(min(bounces - 1, 1) if photons else bounces - 1):
             more = _between(self.cloud.between, self._encoded(total), self._slot)
             total = light + (self.albedo if albedo is None else albedo) * more
         return total

@@ -95,7 +95,7 @@ class FinalGather:
         rays: traced so far.
     """
 
-    def __init__(self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.03, near: Near = "disc"):
+    def __init__(self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.1, near: Near = "disc"):
         """Of receivers in the cloud's scene.
 
         Args:
@@ -115,6 +115,8 @@ class FinalGather:
         self._parts = _parts(cloud, self._tree)
         self._positions = np.concatenate([cloud.positions, cloud.parts.reshape(-1, 3)])
         self._normals = np.concatenate([cloud.face_normals, cloud.part_normals.reshape(-1, 3)])
+        # As rays take them.
+        self._ends = (self._positions + OFFSET * self._normals).astype(np.float32)
 
     def links(self, positions: Float[np.ndarray, "m 3"], normals: Float[np.ndarray, "m 3"]) -> Links:
         """As few nodes as are needed for all of the receivers, without those that are behind all of them."""
@@ -178,16 +180,15 @@ class FinalGather:
 
     def _visible(self, origins, normals, points: Int[np.ndarray, " l"]) -> Bool[np.ndarray, "m l"]:
         """Whether each receiver and point see each other, and both are in front."""
-        turned = self._normals[points]
-        ends = self._positions[points] + OFFSET * turned
-        across = normals @ ends.T - np.sum(normals * origins, axis=1)[:, None] > 0
-        facing = turned @ origins.T < np.sum(turned * ends, axis=1)[:, None]
-        visible = across & ~facing.T
+        turned, ends = self._normals[points].astype(np.float32), self._ends[points]
+        origins, normals = origins.astype(np.float32), normals.astype(np.float32)
+        across = normals @ ends.T > np.sum(normals * origins, axis=1)[:, None]
+        visible = across & (origins @ turned.T >= np.sum(turned * ends, axis=1))
         receiver, point = np.nonzero(visible)
         away = ends[point] - origins[receiver]
         self.rays += len(away)
         # Rays as long as the way, less than what the end is lifted by.
-        blocked = self._tracer.blocked(origins[receiver], away, np.full(len(away), 1 - 1e-4))
+        blocked = self._tracer.blocked(origins[receiver], away, np.full(len(away), 1 - 1e-4, np.float32))
         visible[receiver, point] = ~blocked
         return visible
 

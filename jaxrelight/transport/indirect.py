@@ -21,6 +21,7 @@ from jaxrelight.transport.importance import Importance
 from jaxrelight.transport.layer_files import write_lights, write_once
 from jaxrelight.transport.layers import Made
 from jaxrelight.transport.material_rows import MaterialRows
+from jaxrelight.transport.photon_gather import PhotonGather
 from jaxrelight.transport.placing import place
 from jaxrelight.transport.settings import Settings
 from jaxrelight.transport.surface_albedo import SurfaceAlbedo
@@ -61,14 +62,20 @@ def make_indirect(
 
     gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near)
     dials = kept.dial, settings.solid_angle, settings.near, GROUP
-    between = f"between-{store.key_of(cloud_key, *dials)}" if settings.bounces > 1 else None
-    if between:
+    between = None
+    if settings.bounces > 1:
+        others, way = gather, dials
         with timed(seconds, "between"):
+            if settings.photons:
+                way = kept.dial, settings.photons, settings.bounces, settings.seed, albedo.key, GROUP
+                arguments = surfaces, tracer, albedo, settings.photons, settings.bounces - 1, settings.seed
+                others = PhotonGather(cloud, *arguments)
+            between = f"between-{store.key_of(cloud_key, *way)}"
             points = cloud_receivers(cloud)
             up = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (*points.positions.shape[:2], 3))
             mine: list[tuple[Reflection, dict]] = [(FixedView(white_lambert(), up), {"between": between})]
             rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
-            rows.gathered("between", kept, gather, functools.partial(report, "light between surfaces"))
+            rows.gathered("between", kept, others, functools.partial(report, "light between surfaces"))
 
     materials, pixels_key = [], here.receivers_key(cloud_key, *dials)
     with timed(seconds, "pixels"):

@@ -33,7 +33,10 @@ class Settings:
             this times that of their distance.
         near: of points that are near, "disc" keeps the energy; "clamp" is the paper's bound.
         importance: put more points where they light what the camera sees.
-        seed: of the points' places.
+        photons: where it is not 0, what points get from each other is not gathered link by link, but by that many
+            photons that they shoot, which land up to `bounces` − 1 times: the paper's way; albedos of all but the last
+            surface are in it.
+        seed: of the points' places, and of photons.
     """
 
     receivers: Literal["vertices", "pixels"] = "vertices"
@@ -48,9 +51,10 @@ class Settings:
     gather_resolution: int = 32
     gather: Literal["barycentric", "nearest"] = "barycentric"
     gather_samples: int = 0
-    solid_angle: float = 0.03
+    solid_angle: float = 0.1
     near: Literal["disc", "clamp"] = "disc"
     importance: bool = False
+    photons: int = 0
     seed: int = 0
 
     def __post_init__(self):
@@ -96,6 +100,11 @@ class Settings:
             require(self.coefficients != "all", "coefficients are 'all'; with gather samples, tolerance 0 keeps all")
             seed = self.seed
             require(type(seed) is int and seed >= 0, f"seed is {seed!r}; it must be a whole number, 0 or more")
+            photons = self.photons
+            require(
+                type(photons) is int and 0 <= photons <= 10**8,
+                f"photons are {photons!r}; they must be a whole number up to 100,000,000, or 0 to gather without",
+            )
             require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
             require(self.near in ("disc", "clamp"), f"near is 'disc' or 'clamp', not '{self.near}'")
             require(self.bounces >= 1, "bounces are 0; of local lights, indirect light has one or more")
