@@ -32,8 +32,8 @@ class PhotonGather:
 
         M(x, s) = Σ power A_s / (n D)
 
-    of the photons that point s, of area A_s, shot n of. D is what parts of the cloud's points stand for in it, where they
-    are several, so that nothing is lost at the edges of surfaces.
+    of the photons that point s, of area A_s, shot n of. D is what parts of the cloud's points stand for in it,
+    where they are several, so that nothing is lost at the edges of surfaces.
 
     Attributes:
         emits: whether what surfaces emit is gathered beside rows: it is light of the cloud, and is not.

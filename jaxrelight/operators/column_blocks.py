@@ -1,0 +1,98 @@
+"""Columns in blocks of an image, of which those are left out that light hardly reaches (Hašan 2006 §5)."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxrelight.buckets import bucket
+from jaxrelight.operators.clustered import Cluster
+from jaxrelight.operators.quantised import Quantised, quantised
+
+# Blocks of a group that are added up at once: what is left over is filled up with blocks of nothing.
+_TOGETHER = 8
+
+
+class ColumnBlocks:
+    """Of every coefficient and every group of rows that it reaches, a block: that part of its column, in codes.
+
+    A product takes the blocks that it needs by the light of the moment, on the host, and adds up those alone; so it is
+    not for inside a compiled function. `Clustered` has fewer numbers to read than even the blocks that are left.
+
+    Attributes:
+        shape: (r, d, c), as of an `Operator`.
+        count: of blocks.
+    """
+
+    def __init__(self, clusters: Sequence[Cluster], columns: int, bits: int = 8):
+        """Of groups, which are written out.
+
+        Args:
+            clusters: of each group of rows.
+            columns: d, the number of light coefficients.
+            bits: of the codes.
+        """
+        channels, _, rows = clusters[0].weights.shape
+        self.shape = len(clusters) * rows, columns, channels
+        written = [np.einsum("cqr,qs->scr", one.weights, one.basis, optimize=True) for one in clusters]
+        self._support = np.concatenate([one.support for one in clusters]).astype(np.int64)
+        self._group = np.repeat(np.arange(len(clusters)), [len(one.support) for one in clusters])
+        tiles = np.concatenate(written).astype(np.float32).reshape(len(self._support), channels * rows)
+        # The last block, of nothing, fills up.
+        tiles = np.concatenate([tiles, np.zeros((1, channels * rows), np.float32)])
+        self.count, self._size = len(self._support), np.linalg.norm(tiles, axis=1)
+        self._tiles: Quantised = jax.device_put(quantised(tiles, bits))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of codes, scales, and what is known of each block: its column, group and size."""
+        return sum(array.nbytes for array in jax.tree.leaves(self._tiles)) + 8 * self.count
+
+    def apply(self, light: Float[Array, "d c"], culling: float = 0.0) -> tuple[Float[Array, "r c"], int]:
+        """Radiance of every row, and how many blocks it took.
+
+        Args:
+            light: coefficients.
+            culling: ε: a block is left out where what it would add, |light| times its size, is less than this times
+                the root-mean-square over all blocks.
+        """
+        strength = np.abs(np.asarray(light)).max(axis=1)
+        added = strength[self._support] * self._size[:-1]
+        chosen = np.arange(self.count)
+        if culling > 0:
+            chosen = np.flatnonzero(added > culling * np.sqrt(np.mean(added**2)))
+        few, group = self._by_group(chosen)
+        column = np.append(self._support, 0)[few]
+        few, column, group = (jnp.asarray(numbers) for numbers in (few, column, group))
+        return _added(self._tiles, light, few, column, group, self.shape), len(chosen)
+
+    def _by_group(self, chosen: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, "b t"], Int[np.ndarray, " b"]]:
+        """Blocks, a few of the same group in each line, of one of few numbers of lines; and the lines' groups."""
+        groups = self.shape[0] * self.shape[2] // self._tiles.codes.shape[1]
+        counts = np.bincount(self._group[chosen], minlength=groups)
+        lines = -(-counts // _TOGETHER)
+        total = bucket(max(int(lines.sum()), 1), 256)
+        few = np.full((total, _TOGETHER), self.count)
+        first_line, first = np.cumsum(lines) - lines, np.cumsum(counts) - counts
+        own = self._group[chosen]
+        nth = np.arange(len(chosen)) - first[own]
+        few[first_line[own] + nth // _TOGETHER, nth % _TOGETHER] = chosen
+        group = np.full(total, groups - 1)
+        group[: lines.sum()] = np.repeat(np.arange(groups), lines)
+        return few.astype(np.int32), group.astype(np.int32)
+
+
+@eqx.filter_jit
+def _added(tiles: Quantised, light, few: Int[Array, "b t"], column, group, shape: tuple[int, int, int]):
+    r, _, channels = shape
+    factors = light.at[column].get(mode="promise_in_bounds") * tiles.scale[few]
+    width = tiles.codes.shape[1] // channels
+    codes = tiles.codes[few].reshape(*few.shape, channels, width)
+    out = light.shape[1]
+    each = [jnp.sum(codes[:, :, min(c, channels - 1)] * factors[:, :, c, None], axis=1) for c in range(out)]
+    lines = jnp.stack(each, axis=2)
+    sums = jax.ops.segment_sum(lines, group, num_segments=r // width, indices_are_sorted=True)
+    return sums.reshape(r, out)

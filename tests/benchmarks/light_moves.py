@@ -1,0 +1,343 @@
+"""What a light move costs in two buildings, in the rows of Hašan 2006, Table 2; and millions of triangles."""
+
+import argparse
+import contextlib
+import dataclasses
+import json
+import pathlib
+import tempfile
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from tests.benchmarks.large_scenes import CASES, scene_text
+from tests.benchmarks.measuring import Report, answer, interleaved, megabytes, percent, run_child, shared
+
+MODULE = "tests.benchmarks.light_moves"
+# Of a lamp in each scene: place, place of a spot, what it looks at, and an intensity.
+LAMPS = {
+    "sponza": ([-300, 400, 60], [-500, 900, 0], [-200, 0, 40], 3e5),
+    "staircase": ([0.4, 2.6, 1.2], [0.6, 4.2, 2.2], [-1.2, 0.8, -0.6], 12.0),
+}
+# Rows of Table 2 for its scene of the same kind, Sponza and the still life: spot light, then omni light.
+PAPER_SCENE = {"sponza": "paper: Sponza", "staircase": "paper: still life"}
+PAPER = {
+    "sponza": ["66k", "1.2 h", "4164", "72 MB", "23 MB", "100, 40"],
+    "staircase": ["107k", "1.3 h", "3863", "80 MB", "19 MB", "100, 40"],
+}
+PAPER_LIGHT = {
+    ("sponza", "spot"): ["13.1-15.5", "21.3-24.9", "1.4 ms", "3.6 ms", "62.8 ms", "32.9 ms", "4.7 ms"],
+    ("sponza", "point"): ["11.3-12.2", "13.7-18.2", "7.3 ms", "10 ms", "62.7 ms", "44.8 ms", "4.7 ms"],
+    ("staircase", "spot"): ["10.9-13.0", "13.7-18.7", "2.7 ms", "3.5 ms", "76.4 ms", "46.1 ms", "4.6 ms"],
+    ("staircase", "point"): ["9.7-10.5", "11.4-13.5", "11 ms", "8.3 ms", "75.8 ms", "58.2 ms", "4.8 ms"],
+}
+CULLING = 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2
+# Longest edges that make about two million triangles of them.
+FINE_EDGE = {"sponza": 14.0, "staircase": 0.035}
+ROUNDS = 9
+
+
+def main():
+    parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a quarter of the pixels and points")
+    parser.add_argument("--only", choices=CASES, help="one of the scenes")
+    parser.add_argument("--pictures", type=pathlib.Path, help="write the pictures here")
+    parser.add_argument("--child", type=json.loads, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.child:
+        child(**arguments.child)
+        return
+    shared("data", "mesh")
+    width, samples = (320, 16384) if arguments.quick else (640, 65536)
+    parameters = (
+        f"{width}×{width * 3 // 4} pixels of 2×2 samples, {samples:,} gather samples, three bounces, tolerance 0.02, 8 "
+        "bits; a fresh process for each scene"
+    )
+    chosen = [arguments.only] if arguments.only else list(CASES)
+    write = not (arguments.quick or arguments.only)
+    with contextlib.ExitStack() as stack:
+        folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        report = stack.enter_context(Report("light_moves", "Moving lights in buildings", parameters, write))
+        told = {name: measured(folder, name, width, samples, arguments.pictures) for name in chosen}
+        buildings(report, told)
+        for name, one in told.items():
+            culling(report, name, one)
+        finer(report, folder, chosen)
+        report.speed()
+
+
+def measured(folder: pathlib.Path, name: str, width: int, samples: int, pictures: pathlib.Path | None = None, **more):
+    """What a fresh process tells of a scene."""
+    if pictures:
+        pictures.mkdir(parents=True, exist_ok=True)
+        more["picture"] = str((pictures / f"{name}.png").resolve())
+    given = {"name": name, "width": width, "samples": samples, "folder": str(folder), **more}
+    return run_child(MODULE, "--child", json.dumps(given))
+
+
+def buildings(report: Report, told: dict[str, dict]):
+    """Table 2."""
+    rows = []
+
+    def row(what: str, show: Callable[[dict], str], paper: int | None = None):
+        cells = []
+        for name, one in told.items():
+            cells += [show(one), "" if paper is None else PAPER[name][paper]]
+        rows.append([what, *cells])
+
+    row("triangles", lambda t: f"{t['triangles']:,}", 0)
+    row("final gather", lambda t: f"{t['seconds']['pixels']:.0f} s", 1)
+    row("light between surfaces", lambda t: f"{t['seconds']['between']:.0f} s")
+    row("all of precomputation (target ≤ 1,200 s)", lambda t: f"{t['precompute']:.0f} s")
+    row("its peak memory (target ≤ 4.29 GB)", lambda t: megabytes(t["peak"]))
+    row("visibility rays of a receiver", lambda t: f"{t['rays'] / t['receivers']:,.0f}", 2)
+    row("final gather, size", lambda t: megabytes(t["bytes"]["indirect"]), 3)
+    row("multi-bounce, size", lambda t: megabytes(t["bytes"]["between"]), 4)
+    row("both in memory (target ≤ 100 MB)", lambda t: megabytes(t["memory"]["clusters"]))
+    row("coefficients of a group, shared rows", lambda t: f"{t['support']:.0f}, {t['shared']:.1f}", 5)
+    row("opening, first light", lambda t: f"{t['first']:.1f} s")
+    for light in ("spot", "point"):
+
+        def of(what: str, show: Callable[[dict], str], paper: int | None = None, light=light):
+            cells = []
+            for name, one in told.items():
+                theirs = "" if paper is None else PAPER_LIGHT[name, light][paper]
+                cells += [show(one["lights"][light]), theirs]
+            rows.append([f"{light}: {what}", *cells])
+
+        of("whole moves a second (target ≥ 4)", lambda t: f"{1 / t['move']:.1f}", 0)
+        of("the same, culled, in the paper", lambda t: "", 1)
+        of("shadow rays", lambda t: f"{t['shadows'] * 1e3:.1f} ms", 2)
+        of("shading view and cloud", lambda t: f"{t['shading'] * 1e3:.1f} ms", 3)
+        of("transform, clusters (target ≤ 40 ms)", lambda t: f"{t['clusters'] * 1e3:.1f} ms", 4)
+        of("of that, pixels", lambda t: f"{t['gather'] * 1e3:.1f} ms")
+        of("transform, rows of 100 and 40", lambda t: f"{t['rows'] * 1e3:.1f} ms")
+        of("rows over clusters (target ≥ 2.5)", lambda t: f"{t['rows_over']:.2f}×")
+        of("pictures of rows differ by", lambda t: percent(t["rows_differ"]))
+        of("transform, column blocks", lambda t: f"{t['culling'][0][0] * 1e3:.1f} ms")
+        of("joining", lambda t: f"{t['joining'] * 1e3:.1f} ms", 6)
+    row("colours and strengths of four lights a second (target ≥ 60)", lambda t: f"{1 / t['colours']:.0f}")
+    row("rows, column blocks in memory", lambda t: ", ".join(megabytes(t["memory"][k]) for k in ("rows", "blocks")))
+    heads = [
+        head for name in told for head in (name, {"sponza": "paper: Sponza", "staircase": "paper: still life"}[name])
+    ]
+    report.table(["what", *heads], rows)
+
+
+def culling(report: Report, name: str, told: dict):
+    """Time and error of column blocks."""
+    for light in ("spot", "point"):
+        (whole, *_), *each = told["lights"][light]["culling"]
+        rows = [
+            [f"{culling:g}", f"{seconds * 1e3:.1f} ms", f"{whole / seconds:.2f}×", percent(kept), percent(error)]
+            for culling, (seconds, kept, error) in zip(CULLING, each, strict=True)
+        ]
+        report.text(
+            f"**Column blocks of {name}, {light}**: blocks are left out that add less than ε times their "
+            f"root-mean-square; without, {whole * 1e3:.1f} ms (target ≥ 1.5× faster at ≤ 0.5 % added error, of a spot)."
+        )
+        report.table(["ε", "transform", "faster", "blocks kept", "added error"], rows)
+
+
+def finer(report: Report, folder: pathlib.Path, chosen: list[str]):
+    """The same view and budgets, of many more triangles."""
+    rows = []
+    for name in chosen:
+        coarse = measured(folder, name, 320, 16384, only_precompute=True)
+        fine = measured(folder, name, 320, 16384, only_precompute=True, max_edge=FINE_EDGE[name])
+        rows.append(
+            [
+                name,
+                *(f"{one['triangles']:,}" for one in (coarse, fine)),
+                *(f"{one['precompute']:.0f} s" for one in (coarse, fine)),
+                f"{fine['precompute'] / coarse['precompute']:.2f}×",
+                *(megabytes(one["peak"]) for one in (coarse, fine)),
+            ]
+        )
+    report.text(
+        "**Finer meshes**: faces split until no edge is longer than some length, 320×240 pixels, 16,384 gather samples "
+        "(target ≤ 1.5×)."
+    )
+    heads = ["scene", "triangles", "split", "precompute", "split", "ratio", "peak memory", "split"]
+    report.table(heads, rows)
+
+
+def child(
+    name: str,
+    width: int,
+    samples: int,
+    folder: str,
+    max_edge: float | None = None,
+    only_precompute: bool = False,
+    picture: str | None = None,
+):
+    """One scene in this process."""
+    from jaxrelight.command_line import _share_freed_memory
+
+    _share_freed_memory()
+    import jaxrelight as jr
+    from tests.benchmarks.measuring import peak_memory
+
+    mesh, materials, origin, target, fov_y, _ = CASES[name]
+    text = scene_text(mesh, materials, origin, target, fov_y, max_edge or 1e30)
+    text = text.replace("width = 480\nheight = 360", f"width = {width}\nheight = {width * 3 // 4}")
+    path = pathlib.Path(folder, f"{name}_{width}_{max_edge}.toml")
+    path.write_text("\n".join(line for line in text.splitlines() if not line.endswith("= 1e+30")))
+    scene = jr.load_scene(path)
+    start = time.perf_counter()
+    settings = jr.Settings("pixels", gather_samples=samples, bounces=3, bits=8)
+    made = jr.precompute(scene, settings, path.with_suffix(""))
+    told = {
+        "triangles": sum(len(part.mesh.faces) for part in scene.parts),
+        "precompute": time.perf_counter() - start,
+        "seconds": made.seconds,
+        "rays": made.rays,
+        "receivers": made.receivers + samples,
+        "bytes": made.nbytes,
+        "peak": peak_memory(),
+    }
+    answer(told if only_precompute else told | moves(name, made.folder, picture))
+
+
+def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
+    """What moving lights costs in a store."""
+    import jax
+    import jax.numpy as jnp
+
+    import jaxrelight as jr
+    from jaxrelight.lighting.antialiasing import joined
+    from jaxrelight.lighting.indirect import IndirectRelighter
+    from jaxrelight.lighting.light_layers import LightLayers
+    from jaxrelight.lights.local import point, spot
+    from jaxrelight.operators.clustered import Clustered
+    from jaxrelight.operators.stacked import Stacked
+
+    place, above, target, intensity = LAMPS[name]
+    scale = np.linalg.norm(np.subtract(target, above))
+    kinds = {
+        "point": lambda by: point(np.add(place, by), [intensity, 0.9 * intensity, 0.8 * intensity]),
+        "spot": lambda by: spot(np.add(above, by), target, [2 * intensity, 2 * intensity, 1.6 * intensity], 25.0, 18.0),
+    }
+    start = time.perf_counter()
+    transport = jr.load(folder)
+    relighter = IndirectRelighter(transport)
+    first = relighter.image([kinds["point"](np.zeros(3))])
+    opened = time.perf_counter() - start
+    cloud = transport.cloud
+    assert cloud is not None
+    every = [cloud.between, *(operator for _, operator in transport.each)]
+    clusters = [one.clusters() for one in every if isinstance(one, Clustered)]
+    both = list(zip(clusters, every, strict=True))
+    rows = [as_rows(some, one.columns, 40 if i == 0 else 100) for i, (some, one) in enumerate(both)]
+    others = dataclasses.replace(
+        transport, operator=Stacked(tuple(rows[1:])), cloud=dataclasses.replace(cloud, between=rows[0])
+    )
+    by_rows = IndirectRelighter(others)
+    blocks = [as_blocks(some, one.columns) for some, one in both]
+    filled = [one for some in clusters[1:] for one in some if len(one.support)]
+    told = {
+        "first": opened,
+        "memory": {
+            "clusters": sum(one.nbytes for one in every),
+            "rows": sum(one.nbytes for one in rows),
+            "blocks": sum(one.nbytes for one in blocks),
+        },
+        "support": float(np.mean([len(one.support) for one in filled])),
+        "shared": float(np.mean([len(one.basis) for one in filled])),
+        "lights": {},
+    }
+    steps = iter(0.02 * scale * np.sin(np.arange(3, 10_000))[:, None] * [1.0, 0.3, 0.5])
+    for kind, make in kinds.items():
+        lamp = make(np.zeros(3))
+        g = relighter.cloud_light([lamp])
+        direct, indirect = relighter.seen.lit_by([lamp]), relighter.indirect([lamp])
+        calls = {
+            "move": lambda make=make: relighter.picture([make(next(steps))]),
+            "lit": lambda make=make: (
+                relighter.cloud_light([moved := make(next(steps))]),
+                relighter.seen.lit_by([moved]),
+            ),
+            "shading": lambda make=make: (
+                relighter.cloud_light([moved := make(next(steps))], shadows=False),
+                relighter.seen.lit_by([moved], shadows=False),
+            ),
+            "clusters": lambda g=g: relighter.gathered(relighter.spread(g)),
+            "rows": lambda g=g: by_rows.gathered(by_rows.spread(g)),
+            "gather": lambda g=g: relighter.gathered(g),
+            "joining": lambda direct=direct, indirect=indirect: joined(direct, indirect, relighter._nearest),
+        }
+        times = interleaved(calls, ROUNDS)
+        one = {what: time.median for what, time in times.items()}
+        one["shadows"] = one["lit"] - one["shading"]
+        one["rows_over"] = times["rows"].over(times["clusters"])
+        pictures = [np.asarray(some.gathered(some.spread(g))) for some in (relighter, by_rows)]
+        one["rows_differ"] = float(np.linalg.norm(pictures[1] - pictures[0]) / np.linalg.norm(pictures[0]))
+        told["lights"][kind] = one | {"culling": culled(relighter, blocks, g)}
+    layers = LightLayers(relighter, [make(next(steps)) for make in kinds.values() for _ in range(2)])
+    gains = iter(np.random.default_rng(0).random((10_000, 4, 3)))
+    told["colours"] = interleaved({"": lambda: layers.picture(jnp.asarray(next(gains)))}, 3 * ROUNDS)[""].median
+    if picture:
+        bright = np.concatenate([np.asarray(layers.picture()), first[..., 3:]], axis=-1)
+        bright[..., :3] *= 0.6 / np.quantile(bright[..., :3].mean(axis=-1), 0.95)
+        jr.write_image(picture, bright)
+    jax.block_until_ready(layers.pictures)
+    return told
+
+
+def as_rows(clusters, columns: int, count: int):
+    """The same rows, each with that many of its own largest coefficients, in codes of 8 bits."""
+    from jaxrelight.operators.quantised import Quantised
+    from jaxrelight.operators.sparse_rows import sparse_rows
+    from jaxrelight.transport.compression import Rows
+
+    kept = Rows(count, 8, np.ones(columns, np.float32))
+    found = []
+    for one in clusters:
+        written = np.einsum("cqr,qs->rcs", one.weights, one.basis, optimize=True).astype(np.float32)
+        found.append(kept.compress(written[:, None], one.support))
+    indices, codes, scales = (np.stack([a[k] for a in found]) for k in ("indices", "values", "values_scale"))
+    c, n = codes.shape[-2:]
+    coded = Quantised(codes.reshape(-1, c, n), scales.reshape(-1, c, scales.shape[-1]), min(16, n))
+    return sparse_rows(indices.reshape(-1, n), coded, columns)
+
+
+def as_blocks(clusters, columns: int):
+    """The same rows, in blocks of columns."""
+    from jaxrelight.operators.column_blocks import ColumnBlocks
+
+    return ColumnBlocks(clusters, columns)
+
+
+def culled(relighter, blocks, g) -> list[tuple[float, float, float]]:
+    """Seconds, share of blocks and error of both bounces between surfaces and of pixels, without culling and with."""
+    import jax
+    import jax.numpy as jnp
+
+    def transform(culling: float):
+        total, taken = g, 0
+        for _ in range(relighter.transport.settings.bounces - 1):
+            found, count = blocks[0].apply(relighter._encoded(total), culling)
+            total, taken = g + relighter.albedo * found[relighter._slot], taken + count
+        light = relighter._encoded(total)
+        pixels = []
+        for part in blocks[1:]:
+            found, count = part.apply(light, culling)
+            pixels.append(found)
+            taken += count
+        return pixels, taken
+
+    all_of_them = 2 * blocks[0].count + sum(part.count for part in blocks[1:])
+    whole = jnp.concatenate(transform(0.0)[0])
+    times = interleaved({str(c): lambda c=c: transform(c)[0] for c in (0.0, *CULLING)}, ROUNDS)
+    told = []
+    for culling in (0.0, *CULLING):
+        found, taken = transform(culling)
+        error = float(jnp.linalg.norm(jnp.concatenate(found) - whole) / jnp.linalg.norm(whole))
+        told.append((times[str(culling)].median, taken / all_of_them, error))
+    jax.clear_caches()
+    return told
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""Column blocks: the product of what they were made of, and what culling leaves out."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.operators.clustered import cluster, clustered
+from jaxrelight.operators.column_blocks import ColumnBlocks
+
+ROWS, COLUMNS = 16, 64
+
+
+def some(channels: int, groups: int = 5):
+    """Groups of which one holds nothing, and rows that fall off."""
+    random = np.random.default_rng(0)
+    rows = random.normal(size=(groups, ROWS, channels, COLUMNS)) * 0.9 ** np.arange(COLUMNS)
+    rows[2] = 0
+    every = [cluster(one.astype(np.float32), np.ones(COLUMNS, np.float32), 0.05)[0] for one in rows]
+    return every, jnp.asarray(random.normal(size=(COLUMNS, 3)) * 0.8 ** np.arange(COLUMNS)[:, None], jnp.float32)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("bits", [8, 16])
+def test_the_product_is_that_of_the_clusters(channels, bits):
+    every, light = some(channels)
+    made = ColumnBlocks(every, COLUMNS, bits)
+    wanted = clustered(every, COLUMNS).apply(light)
+    found, count = made.apply(light)
+    assert made.shape == (5 * ROWS, COLUMNS, channels)
+    assert count == made.count == sum(len(one.support) for one in every)
+    assert np.linalg.norm(found - wanted) < 2.0 ** (2 - bits) * np.linalg.norm(wanted)
+    assert not found[2 * ROWS : 3 * ROWS].any()
+
+
+def test_culling_trades_error_for_blocks():
+    every, light = some(1)
+    made = ColumnBlocks(every, COLUMNS, 16)
+    whole, count = made.apply(light)
+    errors, counts = [], [count]
+    for culling in (1e-3, 0.03, 0.1, 0.3):
+        found, count = made.apply(light, culling)
+        errors.append(float(jnp.linalg.norm(found - whole) / jnp.linalg.norm(whole)))
+        counts.append(count)
+    assert counts == sorted(counts, reverse=True)
+    assert counts[-1] < 0.5 * counts[0]
+    assert errors == sorted(errors)
+    assert errors[0] < 1e-2 < errors[-1] < 0.5
+
+
+def test_without_light_nothing_is_added():
+    every, light = some(3)
+    found, count = ColumnBlocks(every, COLUMNS).apply(0 * light, 0.1)
+    assert count == 0
+    assert not found.any()
