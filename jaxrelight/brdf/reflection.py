@@ -36,6 +36,11 @@ class Reflection(eqx.Module):
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """The factors of the outgoing direction."""
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether it is known to be the same for all directions."""
+        return False
+
     def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Footprint) -> Array:
         """The same at texture coordinates, of which a pixel covers an area; where it varies over the surface."""
         return self.view_side(omega_o)
@@ -79,6 +84,11 @@ class FixedView(Reflection):
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:
         """One: the view is in the transport already."""
         return jnp.ones((1, 1), self.omega_o.dtype)
+
+    @property
+    def is_constant(self) -> bool:
+        """As the BRDF is."""
+        return self._whole.is_constant
 
     @property
     def per_receiver(self) -> "FixedView":

@@ -74,6 +74,9 @@ class CloudOptions:
     solid_angle: float = 0.1
     """Points that are far for their distance from each other are gathered from together: where the square of their
     extent is less than this times that of their distance."""
+    peak: float = 0.01
+    """Points that lie in the peak of a glossy BRDF are told apart: where together they would give more than this share
+    of all that is reflected; 1 for nowhere, which is faster and blurs sharp reflections."""
     near: Literal["disc", "clamp"] = "disc"
     """Light of near points: 'disc' keeps its energy, 'clamp' is bounded as in the paper, and darker in corners."""
     importance: bool = False

@@ -95,7 +95,9 @@ class FinalGather:
         rays: traced so far.
     """
 
-    def __init__(self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.1, near: Near = "disc"):
+    def __init__(
+        self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.1, near: Near = "disc", peak: float = 0.01
+    ):
         """Of receivers in the cloud's scene.
 
         Args:
@@ -104,11 +106,13 @@ class FinalGather:
             threshold: nodes are split where the square of their diagonal is more than this times that of their
                 distance.
             near: what is done where receivers are near points.
+            peak: nodes are split where they would give any receiver more than this share of what a BRDF that is not
+                constant reflects of all of them.
         """
         self.cloud = cloud
         self.emits = False
         self.rays = 0
-        self._tracer, self._threshold = tracer, threshold
+        self._tracer, self._threshold, self._peak = tracer, threshold, peak
         self._near: Near = near
         self._tree = z_curve(cloud.side)
         self._levels = [_level(cloud, self._tree, 4**h) for h in range(cloud.side.bit_length())]
@@ -155,13 +159,11 @@ class FinalGather:
             channels: of the rows of each; by default its own.
         """
         positions, normals = receivers.positions[group], receivers.normals[group]
-        links = self.links(positions, normals)
+        links = self._refined(self.links(positions, normals), positions, frames, reflections)
         points = links.places
         visible = self._visible(positions + OFFSET * receivers.face_normals[group], normals, points)
-        length = bucket(max(len(points), 1), 1024)
-        arrays = self._positions[points], self._normals[points], links.areas, 4.0**links.heights
-        sources = Sources(*(filled_up(np.asarray(array), length) for array in arrays))
-        seen = np.zeros((len(positions), length), bool)
+        sources = self._sources(links)
+        seen = np.zeros((len(positions), len(sources.areas)), bool)
         seen[:, : len(points)] = visible
         columns, wavelets = self._wavelets(links)
         found = []
@@ -173,6 +175,44 @@ class FinalGather:
             rows = np.ascontiguousarray(rows.T).reshape(m, k, c, len(columns))
             found.append(Gathered(columns, np.broadcast_to(rows, (m, k, channel, len(columns))), None))
         return found
+
+    def _sources(self, links: Links) -> Sources:
+        points, length = links.places, bucket(max(len(links.places), 1), 1024)
+        arrays = self._positions[points], self._normals[points], links.areas, 4.0**links.heights
+        return Sources(*(filled_up(np.asarray(array), length) for array in arrays))
+
+    def _refined(self, links: Links, positions, frames, reflections: Sequence[Reflection]) -> Links:
+        """Nodes split where they lie in a BRDF's peak: where one gives a receiver more than a share of its row."""
+        glossy = [one for one in reflections if not one.is_constant]
+        if not glossy or self._peak >= 1:
+            return links
+        given = jnp.asarray(positions, jnp.float32), jnp.asarray(frames)
+        active, found, whole = links, [], [None] * len(glossy)
+        while len(active.places):
+            sources = self._sources(active)
+            all_seen = jnp.ones((len(positions), len(sources.areas)), bool)
+            largest = np.zeros(len(active.places))
+            for i, one in enumerate(glossy):
+                values = np.asarray(_received(*given, one, sources, all_seen, self._near) * sources.counts)
+                sums = values.sum(axis=3, keepdims=True) if whole[i] is None else whole[i]
+                whole[i] = sums
+                shares = values / np.maximum(sums, 1e-30)
+                largest = np.maximum(largest, shares.max(axis=(0, 1, 2))[: len(largest)])
+            split = (largest > self._peak) & (active.places < len(self._tree))
+            found.append(Links(*(array[~split] for array in active)))
+            active = self._children(Links(*(array[split] for array in active)))
+        return Links(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+
+    def _children(self, links: Links) -> Links:
+        """What nodes that are no parts are split into."""
+        found = []
+        for h in np.unique(links.heights):
+            level = self._levels[h - 1] if h else self._parts
+            nodes = (4 * links.nodes[links.heights == h][:, None] + np.arange(4)).reshape(-1)
+            of = nodes if h else nodes // PARTS
+            found.append(Links(np.full(len(nodes), max(h - 1, 0)), of, level.chosen[nodes], level.areas[nodes]))
+        none = Links(*(array[:0] for array in links))
+        return Links(*(np.concatenate(arrays) for arrays in zip(none, *found, strict=True)))
 
     def channels_of(self, reflections: Sequence[Reflection]) -> list[int]:
         """Channels of the rows of each of a material's reflections: its own."""

@@ -60,7 +60,7 @@ def make_indirect(
         write_once(folder / f"albedo-{albedo_key}", {"albedo": reflected, "emission": emitted})
         kept = of_cloud(settings, cloud_spectrum(cloud, surfaces, tracer, settings.seed))
 
-    gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near)
+    gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near, settings.peak)
     dials = kept.dial, settings.solid_angle, settings.near, GROUP
     between = None
     if settings.bounces > 1:
@@ -77,7 +77,7 @@ def make_indirect(
             rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
             rows.gathered("between", kept, others, functools.partial(report, "light between surfaces"))
 
-    materials, pixels_key = [], here.receivers_key(cloud_key, *dials)
+    materials, pixels_key = [], here.receivers_key(cloud_key, *dials, settings.peak)
     with timed(seconds, "pixels"):
         for material in here.materials(grey=True):
             for _, record, key in material.parts:

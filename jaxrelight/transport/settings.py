@@ -31,6 +31,8 @@ class Settings:
             surfaces, and what they reflect is gathered by pixels (Hašan 2006). A power of four.
         solid_angle: of those points, far ones are gathered from together where the square of their extent is less than
             this times that of their distance.
+        peak: of glossy BRDFs, points are told apart as well where together they would give more than this share of all
+            that a receiver reflects; 1 for nowhere.
         near: of points that are near, "disc" keeps the energy; "clamp" is the paper's bound.
         importance: put more points where they light what the camera sees.
         photons: where it is not 0, what points get from each other is not gathered link by link, but by that many
@@ -52,6 +54,7 @@ class Settings:
     gather: Literal["barycentric", "nearest"] = "barycentric"
     gather_samples: int = 0
     solid_angle: float = 0.1
+    peak: float = 0.01
     near: Literal["disc", "clamp"] = "disc"
     importance: bool = False
     photons: int = 0
@@ -106,6 +109,7 @@ class Settings:
                 f"photons are {photons!r}; they must be a whole number up to 100,000,000, or 0 to gather without",
             )
             require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
+            require(0 < self.peak <= 1, f"peak is {self.peak}; it must be above 0, up to 1, which splits nothing")
             require(self.near in ("disc", "clamp"), f"near is 'disc' or 'clamp', not '{self.near}'")
             require(self.bounces >= 1, "bounces are 0; of local lights, indirect light has one or more")
         if self.coefficients not in ("shared", "all"):

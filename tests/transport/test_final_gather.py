@@ -136,6 +136,33 @@ def test_far_points_are_taken_together():
     np.testing.assert_allclose(some, all_of_them, rtol=0.01)
 
 
+def mirrored(surfaces, count: int, place, light, **dials) -> float:
+    """What a sharp lobe reflects of a light, straight back."""
+    cloud = gather_cloud(surfaces, count)
+    reflection = FixedView(jr.phong(0.0, 1.0, 2000.0), jnp.asarray([[0.0, 0, 1]]))
+    gather = FinalGather(cloud, Tracer(surfaces), **dials)
+    ((columns, rows, _),) = gather.rows(upwards(place), 0, FRAME[None], [reflection])
+    coefficients = np.asarray(HaarFaces(cloud.side, 1).encode(jnp.asarray(light(cloud), jnp.float32)))
+    return float(rows[0, 0, 0] @ coefficients[columns])
+
+
+def test_points_in_a_peak_are_told_apart():
+    """Of stripes overhead, a sharp lobe shows those that it looks at, not the mean of a node."""
+    surfaces = join([inside((2, 2, 2), 12)])
+    place = surfaces.to_scene([[0.11, -0.7, 0.07]])
+    edge = place[0, 0]
+
+    def stripes(cloud):
+        return (np.floor((cloud.positions[:, 0] - edge) * 8 + 0.5) % 2 == 0).astype(float)
+
+    every, blurred, sharp = (
+        mirrored(surfaces, 4096, place, stripes, **dials)
+        for dials in ({"threshold": 0.0}, {"threshold": 0.2, "peak": 1.0}, {"threshold": 0.2, "peak": 0.01})
+    )
+    assert abs(sharp - every) < 0.1 * every
+    assert abs(blurred - every) > 2 * abs(sharp - every)
+
+
 def test_nothing_comes_from_behind_or_through():
     """A floor under the receiver, a square whose back is seen, and one behind another."""
     below, back = at(jr.plane((2, 2), 4), -1), at(jr.plane((2, 2), 4), 1)
@@ -147,7 +174,7 @@ def test_nothing_comes_from_behind_or_through():
 
 def test_terms_and_channels_are_those_of_each_reflection():
     surfaces = join([inside()])
-    gather = FinalGather(gather_cloud(surfaces, 64), Tracer(surfaces))
+    gather = FinalGather(gather_cloud(surfaces, 64), Tracer(surfaces), peak=1.0)
     glossy = FixedView(jr.phong([0.1, 0.2, 0.3], 0.5, 20.0), jnp.asarray([[0.0, 0, 1]]))
     one, other = gather.rows(upwards([[0, -1, 0]]), 0, FRAME[None], [white(1), glossy])
     assert one.rows.shape == (1, 1, 1, len(one.columns))
