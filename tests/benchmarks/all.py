@@ -25,6 +25,8 @@ PROGRAMS = (
     "changed_light",
     "interreflections",
     "operators",
+    "indirect",
+    "light_moves",
     "fit_speed",
     "fit_materials",
     "fit_measured",
