@@ -190,14 +190,10 @@ class FinalGather:
         active, found, whole = links, [], [None] * len(glossy)
         while len(active.places):
             sources = self._sources(active)
-            all_seen = jnp.ones((len(positions), len(sources.areas)), bool)
             largest = np.zeros(len(active.places))
             for i, one in enumerate(glossy):
-                values = np.asarray(_received(*given, one, sources, all_seen, self._near) * sources.counts)
-                sums = values.sum(axis=3, keepdims=True) if whole[i] is None else whole[i]
-                whole[i] = sums
-                shares = values / np.maximum(sums, 1e-30)
-                largest = np.maximum(largest, shares.max(axis=(0, 1, 2))[: len(largest)])
+                shares, whole[i] = _largest_shares(*given, one, sources, whole[i], self._near)
+                largest = np.maximum(largest, np.asarray(shares)[: len(largest)])
             split = (largest > self._peak) & (active.places < len(self._tree))
             found.append(Links(*(array[~split] for array in active)))
             active = self._children(Links(*(array[split] for array in active)))
@@ -312,3 +308,14 @@ def _received(
         return jax.vmap(one.light_side, in_axes=1, out_axes=2)(local) * share
 
     return jax.lax.map(row, (positions, frames, own, visible), batch_size=_TOGETHER)
+
+
+@eqx.filter_jit
+def _largest_shares(
+    positions, frames, reflection: Reflection, sources: Sources, whole: Float[Array, "m k c 1"] | None, near: Near
+) -> tuple[Float[Array, " l"], Float[Array, "m k c 1"]]:
+    """Of every source the largest share that it has of a row, as if all were seen; and the sums of rows."""
+    seen = jnp.ones((len(positions), len(sources.areas)), bool)
+    values = _received(positions, frames, reflection, sources, seen, near) * sources.counts
+    whole = jnp.sum(values, axis=3, keepdims=True) if whole is None else whole
+    return jnp.max(values / jnp.maximum(whole, 1e-30), axis=(0, 1, 2)), whole
