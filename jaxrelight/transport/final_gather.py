@@ -187,7 +187,8 @@ class FinalGather:
         if not glossy or self._peak >= 1:
             return links
         given = jnp.asarray(positions, jnp.float32), jnp.asarray(frames)
-        active, found, whole = links, [], [None] * len(glossy)
+        active, found = links, []
+        whole: list[Array | None] = [None] * len(glossy)
         while len(active.places):
             sources = self._sources(active)
             largest = np.zeros(len(active.places))

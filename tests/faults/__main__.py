@@ -66,6 +66,7 @@ def _stores(folder: Path) -> Iterator[tuple[str, str]]:
         ("kept", (), stores.FILES),
         ("exact", stores.EXACT, stores.EXACT_FILES),
         ("bounced", stores.BOUNCED, stores.BOUNCED_FILES),
+        ("indirect", stores.INDIRECT, stores.INDIRECT_FILES),
     ):
         (folder / name).mkdir()
         sound = stores.prepare(folder / name, *options)

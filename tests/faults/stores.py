@@ -2,6 +2,7 @@
 
 import os
 import pathlib
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -62,7 +63,13 @@ EXACT = ("--receivers", "pixels", "--coefficients", "all")
 BOUNCED = ("--coefficients", "shared", "--bits", 8, "--bounces", 1, "--gather-resolution", 4)
 _KINDS = "environment", "factors", "geometry", "texture", "transport", "visibility"
 EXACT_FILES = "visibility/layout.json", "visibility/last group"
+# Local lights, and points that they light.
+INDIRECT = ("--lighting", "indirect", "--gather-samples", 64, "--bounces", 2)
+_LAMP = '[[light]]\ntype = "point"\nposition = [0, 1, 0.5]\nintensity = 2'
+_OTHER_LAMP = _LAMP.replace("intensity = 2", "intensity = 3")
 BOUNCED_FILES = "bounced/layout.json", "bounced/last group", "transport/last group"
+_CLOUD_KINDS = "cloud", "albedo", "between", "indirect", "lights"
+INDIRECT_FILES = tuple(f"{kind}/{name}" for kind in _CLOUD_KINDS for name in ("layout.json", "last group"))
 FILES = ("store.json", *(f"{kind}/{name}" for kind in _KINDS for name in ("layout.json", "last group")))
 
 Harm = Callable[[pathlib.Path, pathlib.Path], object]
@@ -106,9 +113,12 @@ def prepare(folder: pathlib.Path, *options) -> Sound:
     """A sound store, another of a like scene, and the first one's picture."""
     scenes.prepare(folder)
     write_image(folder / "small.exr", np.random.default_rng(1).random((4, 8, 3)))
-    for name, text in (("store", SCENE), ("other", OTHER)):
+    lamps = (_LAMP, _OTHER_LAMP) if options == INDIRECT else ("", "")
+    for name, text, lamp in zip(("store", "other"), (SCENE, OTHER), lamps, strict=True):
+        if lamp:
+            text = re.sub(r"\[environment\]\nfile = .*\n", "", text) + lamp
         (folder / f"{name}.toml").write_text(text)
-        _succeed("precompute", folder / f"{name}.toml", "-o", folder / name, *_DIALS, *options)
+        _succeed("precompute", folder / f"{name}.toml", "-o", folder / name, *_dials(options))
     _succeed("relight", folder / "store", "-o", folder / "sound.exr")
     return Sound(folder, options, (folder / "sound.exr").read_bytes())
 
@@ -150,7 +160,11 @@ def wrong_with(damage: Damage, sound: Sound) -> str:
 
 def precompute(sound: Sound, store: pathlib.Path) -> tuple:
     """The command that makes the sound store at another place."""
-    return ("precompute", sound.folder / "store.toml", "-o", store, *_DIALS, *sound.options)
+    return ("precompute", sound.folder / "store.toml", "-o", store, *_dials(sound.options))
+
+
+def _dials(options: tuple) -> tuple:
+    return options if options == INDIRECT else (*_DIALS, *options)
 
 
 def _relighting(copy: pathlib.Path, picture: pathlib.Path, sound: Sound, good: bool) -> str:

@@ -36,6 +36,14 @@ def test_damaged_store_of_what_bounces(tmp_path):
         assert not stores.wrong(stores.damages_to(file, bounced), bounced)
 
 
+@pytest.mark.slow
+def test_damaged_store_of_local_lights(tmp_path):
+    """Points, what they reflect, what they and pixels get of it, and the lights."""
+    indirect = stores.prepare(tmp_path, *stores.INDIRECT)
+    for file in stores.INDIRECT_FILES:
+        assert not stores.wrong(stores.damages_to(file, indirect), indirect)
+
+
 def test_damage_to_the_whole(sound):
     assert not stores.wrong(stores.WHOLE, sound)
 
