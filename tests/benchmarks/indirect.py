@@ -138,7 +138,7 @@ def closed(report: Report, samples: int, folder: pathlib.Path):
     scene, rows = jr.Scene([jr.Part(walls, "white")], {"white": white}, camera), []
     for near in ("disc", "clamp"):
         for bounces in (1, 2, 3, 4):
-            dials: dict[str, Any] = {"near": near, "bounces": bounces, "tolerance": 0.003}
+            dials: dict[str, Any] = {"near": near, "bounces": bounces, "tolerance": 0.0}
             done = jr.precompute(scene, jr.Settings("pixels", gather_samples=samples, **dials), folder / near)
             relighter = IndirectRelighter(jr.load(done.folder, done.header, done.placed))
             found = np.asarray(relighter.indirect([]))[..., 0]

@@ -198,9 +198,11 @@ def test_render_then_again(folder, run):
         "gather_resolution": 32,
         "gather": "barycentric",
         "gather_samples": 0,
-        "solid_angle": 0.01,
+        "solid_angle": 0.1,
+        "peak": 0.01,
         "near": "disc",
         "importance": False,
+        "photons": 0,
         "seed": 0,
     }
     assert set(first["versions"]) == {"jaxrelight", "jax", "embreex"}
