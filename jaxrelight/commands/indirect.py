@@ -50,23 +50,24 @@ def indirect_picture(
     from jaxrelight.lights.sky import sky_of
     from jaxrelight.transport.groups import timed
 
-    every = [*lights, *([sky_of(environment, SKY_SAMPLES)] if environment else [])]
+    sky = environment if transport.settings.sky else None
+    every = [*lights, *([sky_of(environment, SKY_SAMPLES)] if environment and not sky else [])]
     with timed(seconds, "view"):
         relighter = IndirectRelighter(transport, dials.samples)
         jax.block_until_ready(relighter.view)
     behind = environment if picture.background == "environment" else None
     with timed(seconds, "light_first"):
-        relighter.image(every, behind=behind)
+        relighter.image(every, behind=behind, sky=sky)
     with timed(seconds, "cloud_light"):
         cloud = jax.block_until_ready(relighter.cloud_light(every))
     with timed(seconds, "transfer"):
         jax.block_until_ready(relighter.gathered(relighter.spread(cloud)))
     with timed(seconds, "light"):
-        image = relighter.image(every, behind=behind)
+        image = relighter.image(every, behind=behind, sky=sky)
     seen = image[..., 3] > 0
     with timed(seconds, "write"):
         if dials.layers:
-            write_layers(output, image, relighter.layers(every))
+            write_layers(output, image, relighter.layers(every, sky=sky))
         else:
             write_image(output, image, picture.exposure)
     camera = transport.camera

@@ -84,6 +84,9 @@ class CloudOptions:
     photons: int = 0
     """What points get from each other by so many photons that they shoot, the paper's way; 0 gathers it link by link,
     which is as fast and has less noise."""
+    sky: bool = False
+    """A quarter of the points are directions of the sky: another environment then costs what moving a lamp does, and
+    its shadows are as coarse as those points; without, it is many distant lights, which all cast sharp ones."""
     seed: int = 0
     """Of where the points lie, and of photons."""
 

@@ -17,10 +17,15 @@ from jaxrelight.lighting.antialiasing import joined, nearest_pixels
 from jaxrelight.lighting.prefiltered import Seen, look
 from jaxrelight.lighting.shadows import Shadows
 from jaxrelight.lighting.transport import Relighter
-from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.local import Light
+from jaxrelight.lights.sky import mean_radiance, nearest_directions
 from jaxrelight.operators.contract import Operator
+from jaxrelight.transport.gather_cloud import FAR
 from jaxrelight.transport.load import Transport
+
+# Of a cube map as fine as maps of a sky in the cloud are read.
+_SKY = 32
 
 
 class IndirectRelighter:
@@ -51,9 +56,11 @@ class IndirectRelighter:
         self._final = Relighter(transport)
         surfaces, points = transport.surfaces, transport.cloud.points
         places = jnp.asarray(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
-        self._normals = jnp.asarray(points.normals, jnp.float32)
+        # Nothing lights the sky.
+        self._normals = jnp.asarray(np.where(points.of_sky[:, None], 0, points.normals), jnp.float32)
         lifted = points.positions + OFFSET * points.face_normals
         self.shadows = Shadows(transport.tracer, lifted, places, self._normals, surfaces.radius)
+        self._sky_shares: dict[tuple[int, int], Array] = {}
         slot, albedo, emission = transport.cloud.slot_of, transport.cloud.albedo, transport.cloud.emission
         self.albedo, self.emission, self._slot = jnp.asarray(albedo), jnp.asarray(emission), jnp.asarray(slot)
 
@@ -93,6 +100,22 @@ class IndirectRelighter:
             irradiance += _irradiance(incident, self._normals, visible)
         return (self.albedo if albedo is None else albedo) / np.pi * irradiance + self.emission
 
+    def sky_light(self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "g c"]:
+        """Radiance of the cloud's directions of the sky under a lat-long map. Pure and differentiable in all three.
+
+        Raises:
+            InputError: for a store whose cloud has none.
+        """
+        sky = np.flatnonzero(self.cloud.points.of_sky)
+        if not len(sky):
+            raise InputError(f"{self.transport.folder}: precomputed without the sky; precompute with --sky")
+        height, width = pixels.shape[:2]
+        if (height, width) not in self._sky_shares:
+            towards = self.cloud.points.positions[sky] / FAR
+            self._sky_shares[height, width] = jnp.asarray(nearest_directions(towards, height, width))
+        radiance = mean_radiance(pixels, rotate_y, scale, self._sky_shares[height, width], len(sky))
+        return jnp.zeros_like(self._normals).at[sky].set(radiance)
+
     def spread(
         self, light: Float[Array, "g c"], bounces: int | None = None, albedo: Float[Array, "g c"] | None = None
     ) -> Float[Array, "g c"]:
@@ -125,34 +148,48 @@ class IndirectRelighter:
             terms = tuple(part if one else jnp.zeros_like(part) for part, one in zip(terms, chosen, strict=True))
         return self._final.shade(terms, self.view)
 
-    def indirect(self, lights: Sequence[Light], bounces: int | None = None) -> Float[Array, "h w c"]:
-        """Radiance of the pixels by light that was reflected at least once on its way to them."""
-        if bounces == 0:
-            return self.gathered(jnp.zeros_like(self._normals))  # what the pixels' own surfaces emit
-        return self.gathered(self.spread(self.cloud_light(lights), bounces))
+    def indirect(
+        self, lights: Sequence[Light], bounces: int | None = None, sky: Environment | None = None
+    ) -> Float[Array, "h w c"]:
+        """Radiance of the pixels by light that was reflected on its way to them, and by a sky in the cloud.
 
-    def picture(self, lights: Sequence[Light], bounces: int | None = None) -> Float[Array, "h w 3"]:
+        Args:
+            lights: any.
+            bounces: the store's own number, or fewer.
+            sky: an environment, for a store with directions of the sky.
+        """
+        return self.gathered(self._spread(lights, bounces, sky))
+
+    def picture(
+        self, lights: Sequence[Light], bounces: int | None = None, sky: Environment | None = None
+    ) -> Float[Array, "h w 3"]:
         """Several samples of direct light a pixel, and one of indirect light; nothing where no surface is."""
-        return joined(self.seen.lit_by(lights), self.indirect(lights, bounces), self._nearest)
+        return joined(self.seen.lit_by(lights), self.indirect(lights, bounces, sky), self._nearest)
 
     def image(
-        self, lights: Sequence[Light], bounces: int | None = None, behind: Environment | None = None
+        self,
+        lights: Sequence[Light],
+        bounces: int | None = None,
+        behind: Environment | None = None,
+        sky: Environment | None = None,
     ) -> Float[np.ndarray, "h w 4"]:
-        """A finished picture, RGBA; an environment behind, which lights nothing here: give a `Sky` of it, too."""
-        found, alpha = np.asarray(self.picture(lights, bounces)), self._pooled(self.seen.covered[..., None])
+        """A finished picture, RGBA; an environment behind, which lights nothing: give it as `sky`, or a `Sky` of it."""
+        found, alpha = np.asarray(self.picture(lights, bounces, sky)), self._pooled(self.seen.covered[..., None])
         if behind is not None:
             sky = np.where(self.seen.covered[..., None], 0, np.asarray(self.seen.background(behind)))
             found = found + self._pooled(sky)
         return np.concatenate([found, alpha], axis=-1, dtype=np.float32)
 
-    def layers(self, lights: Sequence[Light], bounces: int | None = None) -> dict[str, Float[np.ndarray, "h w 3"]]:
+    def layers(
+        self, lights: Sequence[Light], bounces: int | None = None, sky: Environment | None = None
+    ) -> dict[str, Float[np.ndarray, "h w 3"]]:
         """Pictures that add up: direct and indirect light by what reflects it last; and again, of each light.
 
         "direct", "indirect.diffuse" and "indirect.glossy" are the picture, with "emission" where surfaces emit light;
-        so are "light1", "light2" … with what emission gives them.
+        so are "light1", "light2" … and "sky", where there is one, with what emission gives them.
         """
         black = jnp.zeros((*self.seen.covered.shape, 3))
-        spread = self.spread(self.cloud_light(lights), bounces)
+        spread = self._spread(lights, bounces, sky)
         own = self.gathered(jnp.zeros_like(spread))
         found = {"direct": joined(self.seen.lit_by(lights), jnp.zeros_like(own), self._nearest)}
         for kind in ("diffuse", "glossy"):
@@ -163,7 +200,18 @@ class IndirectRelighter:
             none = self.picture([], bounces)
         for number, light in enumerate(lights, 1):
             found[f"light{number}"] = self.picture([light], bounces) - none
+        if sky is not None:
+            found["sky"] = self.picture([], bounces, sky) - none
         return {name: np.asarray(picture) for name, picture in found.items()}
+
+    def _spread(self, lights: Sequence[Light], bounces: int | None, sky: Environment | None) -> Float[Array, "g c"]:
+        """Light of the cloud that pixels see."""
+        from_sky = jnp.zeros_like(self._normals)
+        if sky is not None:
+            from_sky = self.sky_light(coarsened(sky.pixels, _SKY), sky.rotate_y, sky.scale)
+        if bounces == 0:
+            return from_sky  # and what the pixels' own surfaces emit
+        return self.spread(self.cloud_light(lights) + from_sky, bounces)
 
     def _pooled(self, samples: np.ndarray) -> Float[np.ndarray, "h w c"]:
         """Means over the samples of each pixel."""

@@ -1,10 +1,13 @@
 """Light of a whole sky, by directions to it, each with shadows (Hašan 2006 §6)."""
 
+import functools
 from collections.abc import Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
+from scipy.spatial import KDTree
 
 from jaxrelight.basis import latlong
 from jaxrelight.errors import InputError
@@ -79,6 +82,35 @@ def sky_of(environment: Environment, samples: int = 256) -> Sky:
         jnp.asarray((mean / np.where(used, length, 1)[:, None])[used], jnp.float32),
         jnp.asarray(by_share(light)[used], jnp.float32),
     )
+
+
+def nearest_directions(towards: Float[np.ndarray, "n 3"], height: int, width: int) -> Int[np.ndarray, "fh fw"]:
+    """Of each pixel of a lat-long map, cut into f×f, which direction is nearest: f so that each has several."""
+    factor = int(np.ceil(np.sqrt(8 * len(towards) / (height * width))))
+    h, w = factor * height, factor * width
+    v, u = (np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])
+    return KDTree(towards).query(latlong.directions(u, v))[1]
+
+
+@functools.partial(jax.jit, static_argnames="count")
+def mean_radiance(
+    pixels: Float[Array, "h w c"], rotate_y, scale, nearest: Int[Array, "fh fw"], count: int
+) -> Float[Array, "n c"]:
+    """Of a map what each of n directions of equal solid angle stands for; all of its light is in one of them.
+
+    Args:
+        pixels: radiance.
+        rotate_y: degrees that the map is turned, as `Environment`.
+        scale: factor on it.
+        nearest: from `nearest_directions`.
+        count: n.
+    """
+    factor = nearest.shape[0] // pixels.shape[0]
+    turned = latlong.rotate(jnp.asarray(pixels), rotate_y)
+    fine = jnp.repeat(jnp.repeat(turned, factor, axis=0), factor, axis=1)
+    light = fine * latlong.solid_angles(*nearest.shape)[:, None, None]
+    sums = jax.ops.segment_sum(light.reshape(-1, light.shape[-1]), nearest.reshape(-1), count)
+    return sums * (count / (4 * np.pi)) * scale
 
 
 def _check(samples: int):

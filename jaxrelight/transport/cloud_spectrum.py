@@ -24,7 +24,7 @@ def cloud_spectrum(cloud: GatherCloud, surfaces: Surfaces, tracer: Tracer, seed:
     random = np.random.default_rng(seed)
     squares = np.zeros((cloud.side**2,))
     basis, level = HaarFaces(cloud.side, 1), levels(cloud.side, 1)
-    chosen = random.integers(len(cloud.positions), size=_LAMPS)
+    chosen = random.choice(np.flatnonzero(~cloud.of_sky), size=_LAMPS)
     from_there, along = cloud.positions[chosen] + OFFSET * cloud.face_normals[chosen], cloud.face_normals[chosen]
     face, weights = tracer.first_hits(from_there, along)
     hit = np.einsum("pk,pkx->px", weights, surfaces.vertices[surfaces.faces[np.maximum(face, 0)]])
@@ -38,6 +38,7 @@ def cloud_spectrum(cloud: GatherCloud, surfaces: Surfaces, tracer: Tracer, seed:
         if number % 2:
             axis = random.normal(size=3)
             light *= away @ (axis / np.linalg.norm(axis)) > _CUTOFF * np.sqrt(square)
+        light[cloud.of_sky] = 0
         lit = np.flatnonzero(light)
         light[lit[tracer.blocked(np.tile(place, (len(lit), 1)), away[lit], np.full(len(lit), 1 - 1e-4))]] = 0
         energy = np.sum(light**2)

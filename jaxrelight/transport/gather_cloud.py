@@ -11,6 +11,9 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.surfaces import Surfaces
 
+# Where directions of the sky are, in scene space, whose coordinates are at most 1.
+FAR = 1000.0
+
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
 # Parts of what each point stands for, told apart where light is gathered nearby.
@@ -29,7 +32,7 @@ class GatherCloud:
         normals: unit shading normals, on the side that the point stands for.
         face_normals: unit normals of the faces on that side.
         areas: of surface, in scene space, that each point stands for.
-        faces: that the points lie on.
+        faces: that the points lie on; −1 for directions of the sky.
         barycentric: weights of their corners.
         back: whether they stand for the back of a two-sided mesh.
         parts: positions of points in the equal parts of what each stands for.
@@ -53,6 +56,11 @@ class GatherCloud:
         """Of the image."""
         return round(len(self.positions) ** 0.5)
 
+    @property
+    def of_sky(self) -> Bool[np.ndarray, " g"]:
+        """Which of them are directions of the sky; none, or the last quarter of the tree."""
+        return self.faces < 0
+
 
 def gather_cloud(
     surfaces: Surfaces,
@@ -60,6 +68,7 @@ def gather_cloud(
     importance: Worth | None = None,
     seed: int = 0,
     balance: float = 30.0,
+    sky: bool = False,
 ) -> GatherCloud:
     """Points with a density of the importance, the same everywhere without.
 
@@ -74,6 +83,7 @@ def gather_cloud(
         importance: of places in scene space, above 0.
         seed: of where in its piece each point lies.
         balance: see `flattened`.
+        sky: a quarter of the points are directions of an environment instead (the paper's future work, §6).
 
     Raises:
         InputError: for a count that is no power of four from 64 on.
@@ -81,6 +91,7 @@ def gather_cloud(
     if count < 64 or count & (count - 1) or count.bit_length() % 2 == 0:
         raise InputError(f"gather samples are {count:,}; they must be a power of four: 4,096, 16,384, 65,536, …")
     random = np.random.default_rng(seed)
+    count = count - count // 4 if sky else count
     face, corners, back = _pieces(surfaces, count)
     sign = np.where(back, -1.0, 1.0)[:, None]
     ends = np.einsum("pkc,pcx->pkx", corners, surfaces.vertices[surfaces.faces[face]])
@@ -111,14 +122,51 @@ def gather_cloud(
 
     positions, face_normals, areas, normals, *rest = drawn(1)
     parts = [array.reshape(count, PARTS, *array.shape[1:]) for array in drawn(PARTS)[:3]]
-    laid_out = flattened(positions, normals, balance)
-    return GatherCloud(*(array[laid_out] for array in (positions, normals, face_normals, areas, *rest, *parts)))
+    arrays = positions, normals, face_normals, areas, *rest, *parts
+    if not sky:
+        laid_out = flattened(positions, normals, balance)
+        return GatherCloud(*(array[laid_out] for array in arrays))
+    # Thirds along the order, which are compact, and the sky, a quarter of the image each.
+    quarters = [tuple(array[third] for array in arrays) for third in np.arange(count).reshape(3, -1)]
+    quarters.append(_sky_points(count // 3))
+    images = []
+    for quarter in quarters:
+        laid_out = flattened(quarter[0], quarter[1], balance)
+        images.append(tuple(array[laid_out] for array in quarter))
+    place = np.empty(4 * len(images[0][0]), np.int64)
+    place[z_curve(round(len(place) ** 0.5))] = np.concatenate(
+        [n * len(images[0][0]) + z_curve(round(len(images[0][0]) ** 0.5)) for n in range(4)]
+    )
+    return GatherCloud(*(np.concatenate(of_all)[place] for of_all in zip(*images, strict=True)))
+
+
+def _sky_points(count: int) -> tuple[np.ndarray, ...]:
+    """Directions of equal solid angles as points far away, that face the scene; the arrays of a cloud."""
+    number = np.arange(count)
+    # A spiral of equal steps in height, which is equal areas.
+    y, turn = 1 - (2 * number + 1) / count, 2 * np.pi * _GOLDEN * number
+    ring = np.sqrt(1 - y * y)
+    towards = np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], axis=1)
+    # Four around each, in the plane across it.
+    aside = np.cross(towards, np.where(np.abs(y)[:, None] < 0.9, [[0.0, 1, 0]], [[1.0, 0, 0]]))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    across, step = np.cross(towards, aside), np.sqrt(np.pi / count) / 2
+    around = [towards + step * (a * aside + b * across) for a in (-1, 1) for b in (-1, 1)]
+    parts = np.stack([one / np.linalg.norm(one, axis=1, keepdims=True) for one in around], axis=1)
+    areas = np.full(count, 4 * np.pi * FAR**2 / count)
+    none, weights = np.full(count, -1), np.zeros((count, 3))
+    whole = FAR * towards, -towards, -towards, areas, none, weights, np.zeros(count, bool)
+    return *whole, FAR * parts, -parts, np.broadcast_to(areas[:, None] / PARTS, (count, PARTS))
 
 
 def cloud_receivers(cloud: GatherCloud) -> Receivers:
-    """The points themselves as receivers, in their order in groups of the tree: those of a group are alike."""
+    """The points themselves as receivers, in their order in groups of the tree: those of a group are alike.
+
+    Directions of the sky are none, and have the slot of another.
+    """
     order = z_curve(cloud.side)
-    slot_of = np.empty(len(order), np.int64)
+    order = order[~cloud.of_sky[order]]
+    slot_of = np.zeros(len(cloud.positions), np.int64)
     slot_of[order] = np.arange(len(order))
     groups = -(-len(order) // GROUP)
     # The cloud may be smaller than a group, which is filled up with its first point.

@@ -50,12 +50,14 @@ def make_indirect(
         if settings.importance:
             worth = Importance(surfaces, tracer, placed.seen, albedo, seed=settings.seed)
             worth_key = here.receivers_key(albedo.key)
-        cloud_key = store.key_of(here.key, settings.gather_samples, settings.seed, worth_key)
-        cloud = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed)
+        cloud_key = store.key_of(here.key, settings.gather_samples, settings.seed, worth_key, settings.sky)
+        cloud = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed, sky=settings.sky)
         arrays = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
         write_once(folder / f"cloud-{cloud_key}", arrays)
-        reflected = albedo(cloud.faces, cloud.barycentric, cloud.back, cloud.areas).astype(np.float32)
-        emitted = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces, 0]]].astype(np.float32)
+        reflected, emitted = np.zeros((2, len(cloud.faces), 3), np.float32)
+        mine = np.flatnonzero(~cloud.of_sky)
+        reflected[mine] = albedo(*(of[mine] for of in (cloud.faces, cloud.barycentric, cloud.back, cloud.areas)))
+        emitted[mine] = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces[mine], 0]]]
         albedo_key = store.key_of(cloud_key, reflected, emitted)
         write_once(folder / f"albedo-{albedo_key}", {"albedo": reflected, "emission": emitted})
         kept = of_cloud(settings, cloud_spectrum(cloud, surfaces, tracer, settings.seed))

@@ -38,6 +38,7 @@ class Settings:
         photons: where it is not 0, what points get from each other is not gathered link by link, but by that many
             photons that they shoot, which land up to `bounces` − 1 times: the paper's way; albedos of all but the last
             surface are in it.
+        sky: a quarter of the points are directions of the sky, so that an environment lights as lamps do.
         seed: of the points' places, and of photons.
     """
 
@@ -58,6 +59,7 @@ class Settings:
     near: Literal["disc", "clamp"] = "disc"
     importance: bool = False
     photons: int = 0
+    sky: bool = False
     seed: int = 0
 
     def __post_init__(self):

@@ -203,6 +203,7 @@ def test_render_then_again(folder, run):
         "near": "disc",
         "importance": False,
         "photons": 0,
+        "sky": False,
         "seed": 0,
     }
     assert set(first["versions"]) == {"jaxrelight", "jax", "embreex"}

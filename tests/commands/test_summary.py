@@ -13,7 +13,7 @@ from tests.commands.running import DIALS, summary_of
 SETTINGS = (
     *("receivers", "resolution", "visibility_samples", "terms", "coefficients", "factor_resolution"),
     *("tolerance", "bits", "bounces", "gather_resolution", "gather"),
-    *("gather_samples", "solid_angle", "peak", "near", "importance", "photons", "seed"),
+    *("gather_samples", "solid_angle", "peak", "near", "importance", "photons", "sky", "seed"),
 )
 MADE = {"command", "store", "receivers", "operator_bytes", "kept_energy"}
 MADE |= {f"versions.{name}" for name in ("jaxrelight", "jax", "embreex")} | {f"settings.{name}" for name in SETTINGS}

@@ -13,7 +13,7 @@ any_settings: Any = Settings
 
 def test_defaults():
     settings = Settings()
-    of_cloud = 0, 0.1, 0.01, "disc", False, 0, 0
+    of_cloud = 0, 0.1, 0.01, "disc", False, 0, False, 0
     of_sky = "vertices", 64, 1, 4, "shared", 48, 0.02, 32, 0, 32, "barycentric"
     assert dataclasses.astuple(settings) == (*of_sky, *of_cloud)
     assert settings.samples_per_side == 1

@@ -1,0 +1,98 @@
+"""An environment as directions in the cloud: closed forms, the same as by many lights, and derivatives."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import InputError, Part, Scene
+from jaxrelight.basis import latlong
+from jaxrelight.lights.local import point
+from jaxrelight.lights.sky import even_sky, mean_radiance, nearest_directions, sky_of
+from tests.lighting.test_indirect import ball, opened, room
+
+CAMERA = jr.Camera((0, 0.6, 1.2), (0, 0.1, 0), fov_y=40.0, width=12, height=10)
+ONES = jr.environment(np.ones((8, 16, 3)))
+
+
+def gradient() -> jr.Environment:
+    """Brighter and redder to one side, and above."""
+    v, u = (np.indices((16, 32)) + 0.5) / np.array([[[16]], [[32]]])
+    pixels = np.stack([1 + np.sin(2 * np.pi * u), 2 - v, 0 * u + 0.5], axis=2)
+    return jr.environment(pixels, rotate_y=40.0, scale=0.7)
+
+
+def outdoors(*more: Part) -> Scene:
+    floor = Part(jr.plane((2, 2), 8), "floor")
+    return Scene([floor, *more], {"floor": jr.lambert([0.5, 0.4, 0.3]), "gloss": jr.phong(0.2, 0.3, 10.0)}, CAMERA)
+
+
+@pytest.fixture(scope="module")
+def object_outdoors(tmp_path_factory):
+    block = jr.box((0.3, 0.3, 0.3), 2)
+    block = Part(dataclasses.replace(block, vertices=np.add(block.vertices, [0, 0.15, 0])), "gloss")
+    return opened(outdoors(block), tmp_path_factory.mktemp("sky"), gather_samples=1024, sky=True)
+
+
+def test_an_open_floor_under_an_even_sky_is_its_albedo(tmp_path):
+    relighter = opened(outdoors(), tmp_path, gather_samples=1024, sky=True, bounces=1)
+    seen = relighter.view.covered
+    found = np.asarray(relighter.indirect([], sky=ONES))[seen]
+    np.testing.assert_allclose(found, np.tile([0.5, 0.4, 0.3], (len(found), 1)), rtol=0.01)
+
+
+def test_all_light_of_a_map_is_in_one_direction_or_another():
+    directions = np.asarray(even_sky(1.0, 50).directions)
+    towards = np.concatenate([directions, directions * [1, -1, 1]])
+    for height, width in ((16, 32), (4, 8), (64, 128)):
+        pixels = np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
+        found = mean_radiance(pixels, 0.0, 2.0, jnp.asarray(nearest_directions(towards, height, width)), 100)
+        omega = latlong.solid_angles(height, width)[:, None, None]
+        np.testing.assert_allclose(found.mean(axis=0) * 4 * np.pi, 2 * (pixels * omega).sum(axis=(0, 1)), rtol=1e-4)
+
+
+@pytest.mark.parametrize("bounces", [1, 3])
+def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
+    sky = gradient()
+    found = np.asarray(object_outdoors.picture([], bounces, sky))
+    wanted = np.asarray(object_outdoors.picture([sky_of(sky, 256)], bounces))
+    assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted)
+    np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted.mean(axis=(0, 1)), rtol=0.03)
+
+
+def test_layers_add_up(object_outdoors):
+    layers = object_outdoors.layers([point([0.4, 0.8, 0.4], 1.0)], sky=gradient())
+    whole = sum(layers[name] for name in ("direct", "indirect.diffuse", "indirect.glossy"))
+    np.testing.assert_allclose(layers["light1"] + layers["sky"], whole, rtol=1e-3, atol=1e-5)
+
+
+def test_derivatives_in_the_map_and_its_turn(object_outdoors):
+    pixels = jnp.asarray(gradient().pixels)
+
+    def bright(pixels, turn):
+        light = object_outdoors.spread(object_outdoors.sky_light(pixels, turn))
+        return jnp.sum(object_outdoors.gathered(light)[..., 0] ** 2)
+
+    slopes = jax.grad(bright, (0, 1))(pixels, 10.0)
+    assert all(np.isfinite(slope).all() for slope in slopes)
+    along = jnp.asarray(np.random.default_rng(0).normal(size=pixels.shape), jnp.float32)
+    step = 1e-2
+    differ = (bright(pixels + step * along, 10.0) - bright(pixels - step * along, 10.0)) / (2 * step)
+    assert float(jnp.sum(slopes[0] * along)) == pytest.approx(float(differ), rel=1e-2)
+
+
+def test_stores_without_a_sky_say_so(tmp_path):
+    relighter = opened(room(0.5), tmp_path, bounces=1)
+    with pytest.raises(InputError, match="precomputed without the sky; precompute with --sky"):
+        relighter.indirect([], sky=ONES)
+
+
+def test_photons_come_from_surfaces_alone(tmp_path):
+    scene = room([0.6, 0.5, 0.4], None, (ball("gloss"),), gloss=jr.lambert(0.4))
+    relighter = opened(scene, tmp_path, gather_samples=1024, sky=True, photons=50_000)
+    lit = np.asarray(relighter.indirect([point([0.1, 0.2, 0.05], 1.0)]))
+    assert np.isfinite(lit).all()
+    np.testing.assert_allclose(relighter.indirect([], sky=ONES), 0, atol=1e-5)
