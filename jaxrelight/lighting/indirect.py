@@ -103,6 +103,8 @@ class IndirectRelighter:
     def sky_light(self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "g c"]:
         """Radiance of the cloud's directions of the sky under a lat-long map. Pure and differentiable in all three.
 
+        It was not reflected yet: `spread` it for one bounce more than light of lamps.
+
         Raises:
             InputError: for a store whose cloud has none.
         """
@@ -206,12 +208,15 @@ class IndirectRelighter:
 
     def _spread(self, lights: Sequence[Light], bounces: int | None, sky: Environment | None) -> Float[Array, "g c"]:
         """Light of the cloud that pixels see."""
-        from_sky = jnp.zeros_like(self._normals)
+        bounces = self.transport.settings.bounces if bounces is None else bounces
+        total = jnp.zeros_like(self._normals)
+        if bounces and (lights or self.transport.emits or sky is None):
+            total = self.spread(self.cloud_light(lights), bounces)
         if sky is not None:
-            from_sky = self.sky_light(coarsened(sky.pixels, _SKY), sky.rotate_y, sky.scale)
-        if bounces == 0:
-            return from_sky  # and what the pixels' own surfaces emit
-        return self.spread(self.cloud_light(lights) + from_sky, bounces)
+            light = self.sky_light(coarsened(sky.pixels, _SKY), sky.rotate_y, sky.scale)
+            # It has not been reflected yet.
+            total += self.spread(light, bounces + 1)
+        return total
 
     def _pooled(self, samples: np.ndarray) -> Float[np.ndarray, "h w c"]:
         """Means over the samples of each pixel."""

@@ -65,7 +65,7 @@ def make_indirect(
     gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near, settings.peak)
     dials = kept.dial, settings.solid_angle, settings.near, GROUP
     between = None
-    if settings.bounces > 1:
+    if settings.bounces > 1 or settings.sky:
         others, way = gather, dials
         with timed(seconds, "between"):
             if settings.photons:

@@ -62,10 +62,8 @@ class PhotonGather:
         """
         self.emits = False
         self._cloud = cloud
-        mine = np.flatnonzero(~cloud.of_sky)
-        each = max(1, round(photons / len(mine)))
-        shot = shoot(surfaces, tracer, cloud.positions[mine], cloud.face_normals[mine], albedo, each, length, seed)
-        self._photons = shot._replace(origins=mine[shot.origins])
+        each = max(1, round(photons / len(cloud.positions)))
+        self._photons = shoot(surfaces, tracer, cloud.positions, cloud.face_normals, albedo, each, length, seed)
         self._share = cloud.areas / each
         self._tree, self._parts = KDTree(self._photons.positions), KDTree(cloud.parts.reshape(-1, 3))
 

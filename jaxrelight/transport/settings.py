@@ -110,6 +110,7 @@ class Settings:
                 type(photons) is int and 0 <= photons <= 10**8,
                 f"photons are {photons!r}; they must be a whole number up to 100,000,000, or 0 to gather without",
             )
+            require(not (photons and self.sky), "photons do not come from the sky; leave them, or the sky, out")
             require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
             require(0 < self.peak <= 1, f"peak is {self.peak}; it must be above 0, up to 1, which splits nothing")
             require(self.near in ("disc", "clamp"), f"near is 'disc' or 'clamp', not '{self.near}'")

@@ -69,6 +69,21 @@ def test_lights_are_moved_without_precomputing():
     assert (read_image("sky.exr")[seen] >= own[seen] - 1e-6).all()
 
 
+def test_a_sky_in_the_cloud_is_changed_without_precomputing():
+    """What a sky adds to a lamp is twice as much for twice the sky."""
+    arguments = "--lighting", "indirect", "--bounces", "1", "--background", "none", *FEW, "--json"
+    first = summary_of(run("render", "both.toml", "-o", "out.exr", "--store", "made", "--sky", *arguments))
+    assert first["settings"]["sky"] is True
+    means = [
+        summary_of(run("relight", "made", "-o", "out.exr", "--scale", scale, "--background", "none", "--json"))
+        for scale in ("0", "1", "2")
+    ]
+    none, once, twice = (one["mean_radiance"] for one in means)
+    assert once == pytest.approx(first["mean_radiance"], rel=1e-6)
+    assert twice - once == pytest.approx(once - none, rel=1e-3)
+    assert once > 1.05 * none
+
+
 def test_layers_add_up():
     run("render", "both.toml", "-o", "out.exr", "--lighting", "indirect", "--layers", "--background", "none", *FEW)
     (channels,) = read_channels(pathlib.Path("out.exr"), 10000)
