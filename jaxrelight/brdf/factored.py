@@ -26,6 +26,11 @@ class Factored(Reflection):
         """k, the number of maps of a side."""
         return self.light_maps.shape[0]
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether there is but one texel to a map."""
+        return self.light_maps.shape[-1] == self.view_maps.shape[-1] == 1
+
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
         """g_k(ω_i)."""
         return look_up(self.parametrisation, self.light_maps, omega_i)

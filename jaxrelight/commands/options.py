@@ -82,8 +82,7 @@ class CloudOptions:
     importance: bool = False
     """Put more points where they light what the camera sees: for scenes of which it sees a small part."""
     photons: int = 0
-    """What points get from each other by so many photons that they shoot, the paper's way; 0 gathers it link by link,
-    which is as fast and has less noise."""
+    """What points get from each other by so many photons that they shoot, the paper's way; 0 gathers it."""
     sky: bool = False
     """A quarter of the points are directions of the sky: another environment then costs what moving a lamp does, and
     its shadows are as coarse as those points; without, it is many distant lights, which all cast sharp ones."""

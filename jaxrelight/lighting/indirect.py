@@ -125,7 +125,7 @@ class IndirectRelighter:
 
         Raises:
             InputError: for more than one bounce where the store is of one; where photons were shot, for others than
-                the store's.
+                the store's, or for albedos where they met any on their way.
         """
         bounces = self.transport.settings.bounces if bounces is None else bounces
         if bounces > 1 and self.cloud.between is None:
@@ -135,6 +135,10 @@ class IndirectRelighter:
         photons, most = self.transport.settings.photons, self.transport.settings.bounces
         if photons and bounces not in (1, most):
             raise InputError(f"{self.transport.folder}: photons were shot for {most} bounces, not {bounces}")
+        if photons and bounces > 2 and albedo is not None:
+            raise InputError(
+                f"{self.transport.folder}: its photons met the albedos they were shot with; gather instead"
+            )
         total = light
         for _ in range(min(bounces - 1, 1) if photons else bounces - 1):
             more = _between(self.cloud.between, self._encoded(total), self._slot)
@@ -178,8 +182,8 @@ class IndirectRelighter:
         """A finished picture, RGBA; an environment behind, which lights nothing: give it as `sky`, or a `Sky` of it."""
         found, alpha = np.asarray(self.picture(lights, bounces, sky)), self._pooled(self.seen.covered[..., None])
         if behind is not None:
-            sky = np.where(self.seen.covered[..., None], 0, np.asarray(self.seen.background(behind)))
-            found = found + self._pooled(sky)
+            shown = np.where(self.seen.covered[..., None], 0, np.asarray(self.seen.background(behind)))
+            found = found + self._pooled(shown)
         return np.concatenate([found, alpha], axis=-1, dtype=np.float32)
 
     def layers(

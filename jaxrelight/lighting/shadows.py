@@ -16,8 +16,8 @@ from jaxrelight.lights.local import Incident, Punctual
 
 # Rays that are worth a thread of their own.
 _EACH = 8192
-# Of what was found for lights before, in bits of all points: a sky of 256 at a million of them.
-_KEPT = 64 << 20
+# Bytes of what was found for lights before, and of what keeping it costs each time: a sky of 256 at a million points.
+_KEPT, _EACH_KEPT = 32 << 20, 300
 
 
 class Shadows:
@@ -49,12 +49,15 @@ class Shadows:
         self._tracer, self._radius = tracer, radius
         self.positions, self._normals = positions, normals
         self._kept: collections.OrderedDict[bytes, np.ndarray] = collections.OrderedDict()
+        self._held = 0
 
     def arriving(self, punctual: Punctual, shadows: bool = True) -> tuple[Incident, Float[Array, " p"]]:
         """A light at the points, and 1 where nothing stands between; 0 in shadow, behind, and for padding.
 
         Without shadows, 1 everywhere.
         """
+        # Numbers that are no arrays would be compiled in, for every place of the light anew.
+        punctual = jax.tree.map(lambda x: jnp.asarray(x, float) if isinstance(x, float) else x, punctual)
         incident, lit = _arriving(punctual, self.positions, self._normals)
         if not shadows:
             return incident, jnp.ones_like(incident.distance)
@@ -70,18 +73,22 @@ class Shadows:
         key = hashlib.blake2b()
         for array in (asked, towards, far):
             key.update(array.data)
-        bits = self._kept.pop(key.digest(), None)
+        bits = self._kept.get(key.digest())
         if bits is None:
             # Not as far as the light, so that a lamp's own surface does not hide it.
             bits = np.packbits(~self._blocked(asked, towards, far / self._radius - 2 * OFFSET))
-        self._kept[key.digest()] = bits
-        while len(self._kept) > 1 and sum(map(len, self._kept.values())) > _KEPT:
-            self._kept.popitem(last=False)
+            self._kept[key.digest()] = bits
+            self._held += len(bits) + _EACH_KEPT
+        self._kept.move_to_end(key.digest())
+        while len(self._kept) > 1 and self._held > _KEPT:
+            self._held -= len(self._kept.popitem(last=False)[1]) + _EACH_KEPT
         found[asked] = np.unpackbits(bits, count=len(asked))
         return found
 
     def _blocked(self, asked, towards, near):
         parts = np.array_split(np.arange(len(asked)), min(os.cpu_count() or 1, 1 + len(asked) // _EACH))
+        if len(parts) == 1:
+            return self._tracer.blocked(self.origins[asked], towards, near)
         with concurrent.futures.ThreadPoolExecutor(len(parts)) as pool:
             found = pool.map(
                 lambda mine: self._tracer.blocked(self.origins[asked[mine]], towards[mine], near[mine]), parts

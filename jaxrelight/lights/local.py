@@ -40,7 +40,7 @@ class Light(eqx.Module):
 class Punctual(Light):
     """A light that comes from one direction at each point. A light of your own is a class of this kind.
 
-    `at` is pure and differentiable in positions and in the light's numbers.
+    `at` is pure, compiled, and differentiable in positions and in the light's numbers: it is written in `jax.numpy`.
     """
 
     @abc.abstractmethod

@@ -89,7 +89,7 @@ def nearest_directions(towards: Float[np.ndarray, "n 3"], height: int, width: in
     factor = int(np.ceil(np.sqrt(8 * len(towards) / (height * width))))
     h, w = factor * height, factor * width
     v, u = (np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])
-    return KDTree(towards).query(latlong.directions(u, v))[1]
+    return np.asarray(KDTree(towards).query(latlong.directions(u, v))[1])
 
 
 @functools.partial(jax.jit, static_argnames="count")

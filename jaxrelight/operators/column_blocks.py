@@ -38,8 +38,8 @@ class ColumnBlocks:
         channels, _, rows = clusters[0].weights.shape
         self.shape = len(clusters) * rows, columns, channels
         written = [np.einsum("cqr,qs->scr", one.weights, one.basis, optimize=True) for one in clusters]
-        self._support = np.concatenate([one.support for one in clusters]).astype(np.int64)
-        self._group = np.repeat(np.arange(len(clusters)), [len(one.support) for one in clusters])
+        self._support = np.concatenate([one.support for one in clusters]).astype(np.int32)
+        self._group = np.repeat(np.arange(len(clusters), dtype=np.int32), [len(one.support) for one in clusters])
         tiles = np.concatenate(written).astype(np.float32).reshape(len(self._support), channels * rows)
         # The last block, of nothing, fills up.
         tiles = np.concatenate([tiles, np.zeros((1, channels * rows), np.float32)])
@@ -49,7 +49,8 @@ class ColumnBlocks:
     @property
     def nbytes(self) -> int:
         """Bytes of codes, scales, and what is known of each block: its column, group and size."""
-        return sum(array.nbytes for array in jax.tree.leaves(self._tiles)) + 8 * self.count
+        known = self._support, self._group, self._size
+        return sum(array.nbytes for array in (*jax.tree.leaves(self._tiles), *known))
 
     def apply(self, light: Float[Array, "d c"], culling: float = 0.0) -> tuple[Float[Array, "r c"], int]:
         """Radiance of every row, and how many blocks it took.

@@ -55,23 +55,23 @@ def make_indirect(
         arrays = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
         write_once(folder / f"cloud-{cloud_key}", arrays)
         reflected, emitted = np.zeros((2, len(cloud.faces), 3), np.float32)
-        mine = np.flatnonzero(~cloud.of_sky)
-        reflected[mine] = albedo(*(of[mine] for of in (cloud.faces, cloud.barycentric, cloud.back, cloud.areas)))
-        emitted[mine] = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces[mine], 0]]]
+        solid = np.flatnonzero(~cloud.of_sky)
+        reflected[solid] = albedo(*(of[solid] for of in (cloud.faces, cloud.barycentric, cloud.back, cloud.areas)))
+        emitted[solid] = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces[solid], 0]]]
         albedo_key = store.key_of(cloud_key, reflected, emitted)
         write_once(folder / f"albedo-{albedo_key}", {"albedo": reflected, "emission": emitted})
         kept = of_cloud(settings, cloud_spectrum(cloud, surfaces, tracer, settings.seed))
 
     gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near, settings.peak)
     dials = kept.dial, settings.solid_angle, settings.near, GROUP
-    between = None
+    between, others = None, gather
     if settings.bounces > 1 or settings.sky:
-        others, way = gather, dials
+        way = dials
         with timed(seconds, "between"):
             if settings.photons:
-                way = kept.dial, settings.photons, settings.bounces, settings.seed, albedo.key, GROUP
-                arguments = surfaces, tracer, albedo, settings.photons, settings.bounces - 1, settings.seed
-                others = PhotonGather(cloud, *arguments)
+                each = max(1, round(settings.photons / settings.gather_samples))
+                way = kept.dial, each, settings.bounces, settings.seed, albedo.key, GROUP
+                others = PhotonGather(cloud, surfaces, tracer, albedo, each, settings.bounces - 1, settings.seed)
             between = f"between-{store.key_of(cloud_key, *way)}"
             points = cloud_receivers(cloud)
             up = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (*points.positions.shape[:2], 3))
@@ -79,15 +79,19 @@ def make_indirect(
             rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
             rows.gathered("between", kept, others, functools.partial(report, "light between surfaces"))
 
-    materials, pixels_key = [], here.receivers_key(cloud_key, *dials, settings.peak)
+    materials, pixels_key = [], here.receivers_key(cloud_key, *dials)
     with timed(seconds, "pixels"):
         for material in here.materials(grey=True):
+            # In their peaks points are told apart, for all parts of the material.
+            glossy = [key for reflection, _, key in material.parts if not reflection.is_constant]
+            told_apart = [settings.peak, *glossy] if glossy else []
             for _, record, key in material.parts:
-                record["indirect"] = f"indirect-{store.key_of(pixels_key, key)}"
+                record["indirect"] = f"indirect-{store.key_of(pixels_key, key, *told_apart)}"
             rows = MaterialRows(folder, placed.receivers, material.groups, [part[:2] for part in material.parts])
             rows.gathered("indirect", kept, gather, functools.partial(report, f"pixels of {material.name}"))
             materials += [record for _, record, _ in material.parts]
 
     layers = {"cloud": f"cloud-{cloud_key}", "albedo": f"albedo-{albedo_key}", "between": between}
     header = here.header(materials, write_lights(folder, scene.lights), **layers)
-    return Made(folder, header, placed, gather.rays, ())
+    rays = gather.rays + (others.rays if others is not gather else 0)
+    return Made(folder, header, placed, rays, ())

@@ -22,7 +22,7 @@ from jaxrelight.transport.settings import Settings
 
 
 class Gathers(Protocol):
-    """What gathers rows: `bounce.Gather`, `final_gather.FinalGather`."""
+    """What gathers rows: `bounce.Gather`, `final_gather.FinalGather`, `photon_gather.PhotonGather`."""
 
     @property
     def emits(self) -> bool:
@@ -85,9 +85,11 @@ class MaterialRows:
         layers = self._layers(kind, layouts)
 
         def make(i: int, frames, lacking: list[int]):
-            mine = [of_group(self.each[number][0], i) for number in lacking]
-            found = gather.rows(self.receivers, int(self.groups[i]), frames, mine, [channels[n] for n in lacking])
-            for number, one in zip(lacking, found, strict=True):
+            # All together, also where some are there: they share what is looked at.
+            mine = [of_group(one, i) for one, _ in self.each]
+            found = gather.rows(self.receivers, int(self.groups[i]), frames, mine, channels)
+            for number in lacking:
+                one = found[number]
                 more = {} if one.emitted is None else {"emitted": one.emitted}
                 layers[number].write(i, **kept.compress(one.rows, one.columns), **more)
 

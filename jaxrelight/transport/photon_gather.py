@@ -1,5 +1,6 @@
 """What points of a cloud get from each other over several bounces, by photons that they shoot (Hašan 2006 §4.3)."""
 
+import threading
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -15,14 +16,14 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.transport.bounce import Gathered
 from jaxrelight.transport.gather_cloud import GatherCloud
-from jaxrelight.transport.photons import AlbedoAt, shoot
+from jaxrelight.transport.photons import AlbedoAt, Photons, shoot
 
 # Of the nearest photons, which tell what arrives.
 _NEAREST = 2000
 # Cosine between normals of what is the same surface.
 _ALIKE = 0.5
-# Parts of points that tell the area of a disc.
-_FEW = 16
+# Parts of points that tell the area of a disc, about.
+_PARTS = 32
 
 
 class PhotonGather:
@@ -32,11 +33,12 @@ class PhotonGather:
 
         M(x, s) = Σ power A_s / (n D)
 
-    of the photons that point s, of area A_s, shot n of. D is what parts of the cloud's points stand for in it,
-    where they are several, so that nothing is lost at the edges of surfaces.
+    of the photons that point s, of area A_s, shot n of. D is what parts of the cloud's points stand for in it, so
+    that nothing is lost at the edges of surfaces.
 
     Attributes:
         emits: whether what surfaces emit is gathered beside rows: it is light of the cloud, and is not.
+        rays: traced so far.
     """
 
     def __init__(
@@ -45,27 +47,37 @@ class PhotonGather:
         surfaces: Surfaces,
         tracer: Tracer,
         albedo: AlbedoAt,
-        photons: int,
+        each: int,
         length: int,
         seed: int = 0,
     ):
-        """Shoots them.
+        """Photons are shot when the first rows are asked for.
 
         Args:
             cloud: whose points shoot, each as many.
             surfaces: of the scene.
             tracer: of the scene.
             albedo: of surface points: of all that photons meet on their way, but for the last.
-            photons: in all, about.
+            each: photons of each point.
             length: how often each lands at most.
             seed: of their directions.
         """
         self.emits = False
-        self._cloud = cloud
-        each = max(1, round(photons / len(cloud.positions)))
-        self._photons = shoot(surfaces, tracer, cloud.positions, cloud.face_normals, albedo, each, length, seed)
-        self._share = cloud.areas / each
-        self._tree, self._parts = KDTree(self._photons.positions), KDTree(cloud.parts.reshape(-1, 3))
+        self.rays = 0
+        self._cloud, self._share = cloud, cloud.areas / each
+        self._parts = KDTree(cloud.parts.reshape(-1, 3))
+        self._shooting = surfaces, tracer, cloud.positions, cloud.face_normals, albedo, each, length, seed
+        self._once = threading.Lock()
+        self._shot: tuple[Photons, KDTree] | None = None
+
+    def _landed(self) -> tuple[Photons, KDTree]:
+        with self._once:
+            if self._shot is None:
+                photons = shoot(*self._shooting)
+                # As many set out, and again all that landed but for those at the end of their way.
+                self.rays = len(self._cloud.positions) * self._shooting[5] + len(photons.origins)
+                self._shot = photons, KDTree(photons.positions)
+            return self._shot
 
     def rows(
         self,
@@ -77,11 +89,13 @@ class PhotonGather:
     ) -> list[Gathered]:
         """What one group of the cloud's points gets of a white surface's share; reflections are of that."""
         positions, normals = receivers.positions[group], receivers.face_normals[group]
-        cloud, photons = self._cloud, self._photons
-        m, k = len(positions), min(_NEAREST, len(photons.positions))
+        cloud, (photons, tree) = self._cloud, self._landed()
+        # Of many photons more, so that their disc has parts of the cloud's points enough to tell its area.
+        enough = max(_NEAREST, _PARTS * len(photons.positions) // cloud.parts[..., 0].size)
+        m, k = len(positions), min(enough, len(photons.positions))
         rows = np.zeros((m, 3, len(cloud.positions)), np.float32)
         if k:
-            distance, found = (np.asarray(array).reshape(m, k) for array in self._tree.query(positions, k))
+            distance, found = (np.asarray(array).reshape(m, k) for array in tree.query(positions, k))
             alike = np.einsum("mkx,mx->mk", photons.normals[found], normals) > _ALIKE
             receiver, nth = np.nonzero(alike)
             chosen = found[receiver, nth]
@@ -99,9 +113,9 @@ class PhotonGather:
         return [3] * len(reflections)
 
     def _areas(self, positions, normals, radii) -> Float[np.ndarray, " m"]:
-        """Of surfaces like a receiver's own within a distance of it: of the points' parts, or of a disc for few."""
+        """Of surfaces like a receiver's own within a distance of it: of the points' parts, or of a disc for none."""
         found = self._parts.query_ball_point(positions, radii)
         areas, facing = self._cloud.part_areas.reshape(-1), self._cloud.part_normals.reshape(-1, 3)
         alike = [np.asarray(mine)[facing[mine] @ normal > _ALIKE] for mine, normal in zip(found, normals, strict=True)]
         sums = np.array([areas[mine].sum() for mine in alike])
-        return np.where([len(mine) >= _FEW for mine in alike], sums, np.pi * radii**2)
+        return np.where(sums > 0, sums, np.pi * radii**2)

@@ -107,8 +107,8 @@ class Settings:
             require(type(seed) is int and seed >= 0, f"seed is {seed!r}; it must be a whole number, 0 or more")
             photons = self.photons
             require(
-                type(photons) is int and 0 <= photons <= 10**8,
-                f"photons are {photons!r}; they must be a whole number up to 100,000,000, or 0 to gather without",
+                type(photons) is int and 0 <= photons <= 10**7,
+                f"photons are {photons!r}; they must be a whole number up to 10,000,000, or 0 to gather without",
             )
             require(not (photons and self.sky), "photons do not come from the sky; leave them, or the sky, out")
             require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")

@@ -34,8 +34,10 @@ class SurfaceAlbedo:
 
     @property
     def key(self) -> str:
-        """Of the albedos."""
-        return store.key_of(*([mean, *(np.asarray(w.pixels) for w in ws)] for one in self.means for mean, ws in one))
+        """Of the albedos, and of where textures lie that tell them."""
+        every = [pair for one in self.means for pair in one]
+        where = [] if all(w.is_constant for _, ws in every for w in ws) else [self._surfaces.uv]
+        return store.key_of(*([mean, *(np.asarray(w.pixels) for w in ws)] for mean, ws in every), *where)
 
     def __call__(
         self,

@@ -58,7 +58,7 @@ def main():
                 room(report, name, kept, samples, folder / name)
         if arguments.only in (None, "dials"):
             report.text("**Dials, `room_spot`**; target: alone ≤ 3 % with all coefficients.")
-            room(report, "room_spot", DIALS, samples, folder / "room_spot")
+            room(report, "room_spot", DIALS, samples, folder / "dials", apart=True)
         if arguments.only in (None, "peaks"):
             peaks(report, samples, folder / "peaks")
         if arguments.only in (None, "closed"):
@@ -66,8 +66,10 @@ def main():
         report.speed()
 
 
-def room(report: Report, name: str, every: dict[str, dict[str, Any]], samples: int, folder: pathlib.Path):
-    """One room by some dials."""
+def room(
+    report: Report, name: str, every: dict[str, dict[str, Any]], samples: int, folder: pathlib.Path, apart: bool = False
+):
+    """One room by some dials, each in a store of its own where they are `apart`: nothing is there already."""
     import jaxrelight as jr
     from jaxrelight.lighting.indirect import IndirectRelighter
 
@@ -76,7 +78,8 @@ def room(report: Report, name: str, every: dict[str, dict[str, Any]], samples: i
     alone = np.concatenate([three[..., :3] - none[..., :3], three[..., 3:]], axis=-1)
     rows = []
     for label, dials in every.items():
-        made = jr.precompute(scene, jr.Settings("pixels", bounces=3, **{"gather_samples": samples, **dials}), folder)
+        settings = jr.Settings("pixels", bounces=3, **{"gather_samples": samples, **dials})
+        made = jr.precompute(scene, settings, folder / label if apart else folder)
         relighter = IndirectRelighter(jr.load(made.folder, made.header, made.placed))
         whole = relighter.image(scene.lights)
         indirect = np.array(whole)

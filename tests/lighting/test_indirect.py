@@ -165,3 +165,24 @@ def test_more_bounces_than_precomputed_are_refused(tmp_path):
     relighter.indirect([LAMP])
     with pytest.raises(InputError, match="precomputed for one bounce"):
         relighter.indirect([LAMP], 2)
+
+
+def test_only_glossy_surfaces_tell_points_apart(tmp_path):
+    """Of diffuse ones, neither rays nor stores depend on how finely peaks are split."""
+    made = [
+        jr.precompute(room([0.7, 0.6, 0.5]), dataclasses.replace(SMALL, bounces=1, peak=peak), tmp_path / str(peak))
+        for peak in (1.0, 1e-3)
+    ]
+    assert made[0].rays == made[1].rays
+    names = [{one.name for one in each.folder.iterdir() if one.name.startswith("indirect")} for each in made]
+    assert names[0] == names[1]
+
+
+def test_a_lost_group_of_one_part_of_a_material_comes_back_as_it_was(scene, folder, relighter):
+    """What is gathered of a glossy material's diffuse part depends on the other, which is not lost."""
+    for record in jr.precompute(scene, SMALL, folder).header["materials"]:
+        lost = max((folder / record["indirect"]).glob("0*"))
+        content = lost.read_bytes()
+        lost.unlink()
+        jr.precompute(scene, SMALL, folder)
+        assert lost.read_bytes() == content

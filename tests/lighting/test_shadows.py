@@ -99,7 +99,7 @@ def test_where_light_cannot_arrive_is_left_out_and_nothing_else(floor, name):
 
 def test_only_so_much_is_kept(floor, monkeypatch):
     shadows, tracer = floor
-    monkeypatch.setattr(module, "_KEPT", 3 * COUNT // 16)
+    monkeypatch.setattr(module, "_KEPT", 3 * (COUNT // 16 + 300))
     lamps = [point([0.1 * i, 1, 0], 1) for i in range(5)]
     for lamp in lamps:
         shadows.arriving(lamp)

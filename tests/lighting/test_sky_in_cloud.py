@@ -42,7 +42,7 @@ def test_an_open_floor_under_an_even_sky_is_its_albedo(tmp_path):
     relighter = opened(outdoors(), tmp_path, gather_samples=1024, sky=True, bounces=1)
     seen = relighter.view.covered
     found = np.asarray(relighter.indirect([], sky=ONES))[seen]
-    np.testing.assert_allclose(found, np.tile([0.5, 0.4, 0.3], (len(found), 1)), rtol=0.01)
+    np.testing.assert_allclose(found, np.tile([0.5, 0.4, 0.3], (len(found), 1)), rtol=0.02)
 
 
 def test_all_light_of_a_map_is_in_one_direction_or_another():

@@ -35,6 +35,8 @@ def test_a_picture_is_that_of_gathering(tmp_path):
     assert np.linalg.norm(one - other) < 0.05 * np.linalg.norm(other)
     with pytest.raises(InputError, match="photons were shot for 3 bounces, not 2"):
         photons.spread(photons.cloud_light(lamp), 2)
+    with pytest.raises(InputError, match="its photons met the albedos they were shot with"):
+        photons.spread(photons.cloud_light(lamp), albedo=photons.albedo)
     np.testing.assert_array_equal(photons.indirect(lamp, 1), gathered.indirect(lamp, 1))
 
 
