@@ -94,9 +94,8 @@ def wide(tree):
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), tree)
 
 
-@pytest.mark.parametrize(
-    "kind", ["projector", pytest.param("spot", marks=pytest.mark.slow), pytest.param("shaped", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["spot", "projector", "shaped"])
 def test_double_precision_gradients_of_the_picture(usual, kind):
     """In all that lights have, a projector's image too, and in albedos; shadows held fixed; against differences."""
     random = np.random.default_rng(0)

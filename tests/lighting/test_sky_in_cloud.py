@@ -55,7 +55,7 @@ def test_all_light_of_a_map_is_in_one_direction_or_another():
         np.testing.assert_allclose(found.mean(axis=0) * 4 * np.pi, 2 * (pixels * omega).sum(axis=(0, 1)), rtol=1e-4)
 
 
-@pytest.mark.parametrize("bounces", [1, 3])
+@pytest.mark.parametrize("bounces", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
     sky, relighter = gradient(), IndirectRelighter(object_outdoors.transport, samples=1)
     found = np.asarray(relighter.picture([], bounces, sky))
@@ -70,6 +70,7 @@ def test_layers_add_up(object_outdoors):
     np.testing.assert_allclose(layers["light1"] + layers["sky"], whole, rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_derivatives_in_the_map_and_its_turn(object_outdoors):
     pixels = jnp.asarray(gradient().pixels)
 

@@ -14,7 +14,8 @@ from tests.lighting.test_indirect import ball, opened, room
 PHOTONS = {"gather_samples": 1024, "photons": 100_000, "bounces": 3}
 
 
-@pytest.mark.parametrize("bounces", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("bounces", [2, 3])
 def test_a_closed_room_is_its_series(tmp_path, bounces):
     """Of light 1 everywhere, ρ + ρ² … in each channel, energy kept within two percent; a point within some."""
     albedo = np.array([0.5, 0.4, 0.8])
