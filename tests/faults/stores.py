@@ -66,10 +66,12 @@ EXACT_FILES = "visibility/layout.json", "visibility/last group"
 # Local lights, and points that they light.
 INDIRECT = ("--lighting", "indirect", "--gather-samples", 64, "--bounces", 2)
 _LAMP = '[[light]]\ntype = "point"\nposition = [0, 1, 0.5]\nintensity = 2'
-_OTHER_LAMP = _LAMP.replace("intensity = 2", "intensity = 3")
+_OTHER_LAMP = _LAMP.replace("point", "spot") + "\ntarget = [0, 0, 0]\ncutoff = 40"
 BOUNCED_FILES = "bounced/layout.json", "bounced/last group", "transport/last group"
 _CLOUD_KINDS = "cloud", "albedo", "between", "indirect", "lights"
-INDIRECT_FILES = tuple(f"{kind}/{name}" for kind in _CLOUD_KINDS for name in ("layout.json", "last group"))
+_CLOUD_FILES = tuple(f"{kind}/{name}" for kind in _CLOUD_KINDS for name in ("layout.json", "last group"))
+# A spot's layout has all arrays of a point's and more: with it in its place a point is read as it is.
+INDIRECT_FILES = tuple(name for name in _CLOUD_FILES if name != "lights/layout.json")
 FILES = ("store.json", *(f"{kind}/{name}" for kind in _KINDS for name in ("layout.json", "last group")))
 
 Harm = Callable[[pathlib.Path, pathlib.Path], object]
@@ -115,10 +117,13 @@ def prepare(folder: pathlib.Path, *options) -> Sound:
     write_image(folder / "small.exr", np.random.default_rng(1).random((4, 8, 3)))
     lamps = (_LAMP, _OTHER_LAMP) if options == INDIRECT else ("", "")
     for name, text, lamp in zip(("store", "other"), (SCENE, OTHER), lamps, strict=True):
+        dials = _dials(options)
         if lamp:
             text = re.sub(r"\[environment\]\nfile = .*\n", "", text) + lamp
+            # Other shapes of all that has a row for each point.
+            dials = tuple(256 if name == "other" and dial == 64 else dial for dial in dials)
         (folder / f"{name}.toml").write_text(text)
-        _succeed("precompute", folder / f"{name}.toml", "-o", folder / name, *_dials(options))
+        _succeed("precompute", folder / f"{name}.toml", "-o", folder / name, *dials)
     _succeed("relight", folder / "store", "-o", folder / "sound.exr")
     return Sound(folder, options, (folder / "sound.exr").read_bytes())
 
