@@ -8,7 +8,7 @@ the arrays   in that order, little-endian, each a Zstandard frame
 import json
 import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 import zstandard
@@ -40,16 +40,27 @@ def check_arrays(label: str, content: bytes) -> None:
         raise ValueError(f"it holds '{found}'")
 
 
-def decode_arrays(label: str, content: bytes, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+def decode_arrays(
+    label: str, content: bytes, names: Iterable[str] | None = None, written: Collection[str] | None = None
+) -> dict[str, np.ndarray]:
     """The arrays of a file, or some of them, read-only.
+
+    Args:
+        label: that they were written under.
+        content: of the file.
+        names: of those to be read; all by default.
+        written: all that the file must hold, and nothing else.
 
     Raises:
         ValueError: if they are not those that were written under this label.
     """
     check_arrays(label, content)
     start = content.index(b"\n", 4) + 1
+    entries = json.loads(content[4:start])["arrays"]
+    if written is not None and {name for name, *_ in entries} != set(written):
+        raise ValueError("it holds other arrays than the layer")
     decompressor, arrays = zstandard.ZstdDecompressor(), {}
-    for name, shape, dtype, length in json.loads(content[4:start])["arrays"]:
+    for name, shape, dtype, length in entries:
         if names is None or name in names:
             little = np.dtype(dtype).newbyteorder("<")
             frame = memoryview(content)[start : start + length]

@@ -178,7 +178,7 @@ class Layer:
     def _read(self, group: int, names: list[str]) -> dict[str, np.ndarray]:
         path = self._path(group)
         try:
-            arrays = decode_arrays(self._label(group), path.read_bytes(), names)
+            arrays = decode_arrays(self._label(group), path.read_bytes(), names, self.arrays)
             for name in names:
                 if not self._fits(name, arrays[name]):
                     raise ValueError(f"'{name}' has another shape or type than the layer")

@@ -34,6 +34,14 @@ def test_some_of_the_arrays():
     assert decode_arrays("x", content, []) == {}
 
 
+@pytest.mark.parametrize("written", [["number", "bits"], ["number", "bits", "whole", "more"]])
+def test_arrays_that_were_not_written_are_noticed(written):
+    content = encode_arrays("x", {name: np.zeros(2) for name in ("number", "bits", "whole")})
+    assert list(decode_arrays("x", content, ["bits"], ["bits", "number", "whole"])) == ["bits"]
+    with pytest.raises(ValueError, match="other arrays"):
+        decode_arrays("x", content, ["bits"], written)
+
+
 def test_every_flipped_bit_is_noticed():
     content = bytearray(encode_arrays("layer/3", ARRAYS))
     for bit in range(8 * len(content)):

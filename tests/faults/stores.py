@@ -69,9 +69,7 @@ _LAMP = '[[light]]\ntype = "point"\nposition = [0, 1, 0.5]\nintensity = 2'
 _OTHER_LAMP = _LAMP.replace("point", "spot") + "\ntarget = [0, 0, 0]\ncutoff = 40"
 BOUNCED_FILES = "bounced/layout.json", "bounced/last group", "transport/last group"
 _CLOUD_KINDS = "cloud", "albedo", "between", "indirect", "lights"
-_CLOUD_FILES = tuple(f"{kind}/{name}" for kind in _CLOUD_KINDS for name in ("layout.json", "last group"))
-# A spot's layout has all arrays of a point's and more: with it in its place a point is read as it is.
-INDIRECT_FILES = tuple(name for name in _CLOUD_FILES if name != "lights/layout.json")
+INDIRECT_FILES = tuple(f"{kind}/{name}" for kind in _CLOUD_KINDS for name in ("layout.json", "last group"))
 FILES = ("store.json", *(f"{kind}/{name}" for kind in _KINDS for name in ("layout.json", "last group")))
 
 Harm = Callable[[pathlib.Path, pathlib.Path], object]
