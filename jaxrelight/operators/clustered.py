@@ -1,8 +1,9 @@
 """The clustered operator: rows of near receivers as mixtures of a few (Sloan et al. 2003; Liu et al. 2004)."""
 
 import collections
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,6 +21,9 @@ _FILLING = 2**16
 
 # Groups of a step of the product with many lights: what a step gathers should stay in cache.
 _TOGETHER = 4
+# Terms of a sum that are written out, so that what is next to each other in memory is worked on at once: a sum over
+# neighbours would be made one by one, which takes eight times as long.
+_WRITTEN_OUT = 16
 
 
 class Cluster(NamedTuple):
@@ -42,7 +46,7 @@ class Bucket(eqx.Module):
     Attributes:
         groups: whose rows they are, ascending.
         support: as in `Cluster`.
-        basis: as in `Cluster`; quantised, it is [b, s, q], so that each coefficient has a scale.
+        basis: as in `Cluster`; quantised, each coefficient has a scale.
         weights: as in `Cluster`; quantised, each shared row has a scale in each channel.
     """
 
@@ -167,9 +171,8 @@ class Clustered(Operator):
         found = []
         for part in self.buckets:
             mine = by_group.at[part.groups].get(mode="promise_in_bounds")
-            shared = _products(part.weights, mine)
-            back = _products if isinstance(part.basis, Quantised) else _mixtures
-            found.append(jnp.moveaxis(back(_of_one_channel(part.basis), shared), 1, 0).reshape(channels, -1))
+            back = _mixtures(_of_one_channel(part.basis), _products(part.weights, mine))
+            found.append(jnp.moveaxis(back, 1, 0).reshape(channels, -1))
         held = jnp.concatenate([*found, jnp.zeros((channels, 1), radiance.dtype)], axis=1)
         return jnp.stack([self._sums(held[c]) for c in range(channels)], axis=-1)
 
@@ -201,14 +204,13 @@ def _by_channel(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c
     """The rows' radiance, channels apart: products with vectors read matrices at the speed of memory."""
     support = part.support.astype(jnp.int32)
     found = [light[:, c].at[support].get(mode="promise_in_bounds") for c in range(light.shape[1])]
-    forth = _mixtures if isinstance(part.basis, Quantised) else _products
-    shared = forth(_of_one_channel(part.basis), jnp.stack(found, axis=1))
+    shared = _products(_of_one_channel(part.basis), jnp.stack(found, axis=1))
     return jnp.moveaxis(_mixtures(part.weights, shared), 1, 2)
 
 
 def _at_once(part: Bucket, lights: Float[Array, "d cn"], channels: int) -> Float[Array, "n r c"]:
     """Radiance of the rows of one group, a bucket without its first axis, under many lights."""
-    basis = part.basis.decoded().T if isinstance(part.basis, Quantised) else part.basis
+    basis = decoded(part.basis)
     found = lights.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
     shared = jnp.matmul(basis, found, precision="highest").reshape(len(basis), channels, -1)
     weights = decoded(part.weights)
@@ -224,31 +226,39 @@ def _of_one_channel(basis: Float[Array, "b i n"] | Quantised) -> Float[Array, "b
 
 
 def _products(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c n"]) -> Float[Array, "b c i"]:
-    """Products of rows, the same for all channels where k = 1, with a vector for each channel."""
-    if isinstance(rows, Quantised):
-        # A sum takes codes as they are read; a product of matrices would have them decoded in memory.
-        return jnp.sum(rows.codes * x[:, :, None], axis=-1) * rows.scale[..., 0]
-    if rows.shape[1] > 1:
-        return jnp.einsum("bcin,bcn->bci", rows, x, precision="highest")
-    one = rows.reshape(rows.shape[0], *rows.shape[2:])
-    each = [jnp.einsum("bin,bn->bi", one, x[:, c], precision="highest") for c in range(x.shape[1])]
-    return jnp.stack(each, axis=1)
+    """Products of rows, the same for all channels where k = 1, with a vector for each channel.
+
+    Codes are taken as they are read; a product of matrices would have them decoded in memory.
+    """
+    codes, by_row, by_column = _scaled(rows)
+    *_, i, n = codes.shape
+    steps = math.gcd(n, _WRITTEN_OUT)
+    parts = codes.reshape(*codes.shape[:2], i, steps, n // steps)
+    light = (x * by_column).reshape(*x.shape[:2], steps, n // steps)
+    sums = sum(parts[:, :, :, k] * light[:, :, None, k] for k in range(steps))
+    # Else both sums become one again.
+    sums = jax.lax.optimization_barrier(sums)
+    return jnp.matmul(sums, jnp.ones(n // steps, x.dtype), precision="highest") * by_row
 
 
 def _mixtures(rows: Float[Array, "b k i n"] | Quantised, x: Float[Array, "b c i"]) -> Float[Array, "b c n"]:
     """Sums of rows, the same for all channels where k = 1, each times a number for each channel."""
-    if isinstance(rows, Quantised):
-        return jnp.sum(rows.codes * (rows.scale[..., 0] * x)[..., None], axis=2)
-    if rows.shape[1] > 1:
-        return jnp.einsum("bcin,bci->bcn", rows, x, precision="highest")
-    one = rows.reshape(rows.shape[0], *rows.shape[2:])
-    each = [jnp.einsum("bin,bi->bn", one, x[:, c], precision="highest") for c in range(x.shape[1])]
-    return jnp.stack(each, axis=1)
+    codes, by_row, by_column = _scaled(rows)
+    x = x * by_row
+    return sum(codes[:, :, k] * x[:, :, k, None] for k in range(codes.shape[2])) * by_column
+
+
+def _scaled(rows: Float[Array, "b k i n"] | Quantised) -> tuple[Any, Any, Any]:
+    """Codes and factors on their rows [b, k, i] and columns [b, k, n], of which one is 1."""
+    if not isinstance(rows, Quantised):
+        return rows, 1.0, 1.0
+    if rows.scale.shape[-1] == 1:
+        return rows.codes, rows.scale[..., 0], 1.0
+    return rows.codes, 1.0, rows.scale[..., 0, :]
 
 
 def _basis_of(part: Bucket, i: Int[Array, " i"]) -> Float[Array, "i q s"]:
-    chosen = jax.tree.map(lambda x: x[i], part.basis)
-    return jnp.swapaxes(chosen.decoded(), 1, 2) if isinstance(chosen, Quantised) else chosen
+    return decoded(jax.tree.map(lambda x: x[i], part.basis))
 
 
 def _weights_of(part: Bucket, i: Int[Array, " i"], row: Int[Array, " i"]) -> Float[Array, "i c q"]:
@@ -302,8 +312,10 @@ def quantised_clusters(operator: Clustered, bits: int) -> Clustered:
 
     def coded(part: Bucket) -> Bucket:
         basis, weights = np.asarray(part.basis), np.asarray(part.weights)
-        codes = quantised(np.ascontiguousarray(np.swapaxes(basis, 1, 2)), bits), quantised(weights, bits)
-        return Bucket(part.groups, part.support, *jax.device_put(codes))
+        turned = quantised(np.swapaxes(basis, 1, 2), bits)
+        codes, scale = (np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in (turned.codes, turned.scale))
+        coded = Quantised(codes, scale, 1), quantised(weights, bits)
+        return Bucket(part.groups, part.support, *jax.device_put(coded))
 
     return eqx.tree_at(lambda one: one.buckets, operator, tuple(coded(part) for part in operator.buckets))
 

@@ -67,7 +67,7 @@ def mixtures(operator: Clustered) -> np.ndarray:
         basis, weights = (np.asarray(decoded(values), float) for values in (part.basis, part.weights))
         support = np.eye(D)[np.asarray(part.support)]
         # groups b, coefficients s
-        out[np.asarray(part.groups)] = np.einsum("bcqr,bsq,bsd->brcd", weights, basis, support)
+        out[np.asarray(part.groups)] = np.einsum("bcqr,bqs,bsd->brcd", weights, basis, support)
     return out
 
 
