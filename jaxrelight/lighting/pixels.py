@@ -1,6 +1,10 @@
 """Pixels that see one material, as arrays of one of few lengths, so that few shapes are compiled."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -21,6 +25,30 @@ class Pixels(eqx.Module):
     uv: Float[Array, "p 2"]
     footprint: Float[Array, " p"]
     omega_o: Float[Array, "p 3"]
+
+
+def places(parts: Sequence[Pixels], count: int) -> Int[Array, " n"]:
+    """Where `assembled` finds each of an image's pixels, of which every part shows others."""
+    total = sum(len(part.pixel) for part in parts)
+    found, start = np.full(count, total, np.int32), 0
+    for part in parts:
+        pixel = np.asarray(part.pixel)
+        mine = np.flatnonzero(pixel < count)
+        found[pixel[mine]] = start + mine
+        start += len(pixel)
+    # Kept by its owner, who may be asked first while something is traced.
+    with jax.ensure_compile_time_eval():
+        return jax.device_put(found)
+
+
+@jax.jit
+def assembled(parts: Sequence[Float[Array, "_ c"]], place: Int[Array, " n"]) -> Float[Array, "n c"]:
+    """The image of what parts show, and 0 where none does: one look-up for each pixel.
+
+    Adding parts to an image would copy it for every one of them.
+    """
+    rows = jnp.concatenate([*parts, jnp.zeros((1, parts[0].shape[1]), parts[0].dtype)])
+    return rows.at[place].get(mode="promise_in_bounds")
 
 
 def padded(rows: np.ndarray, mine: Int[np.ndarray, " m"], fill: int = 0) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight import safe
 from jaxrelight.basis import latlong
@@ -29,7 +29,7 @@ from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import OFFSET, Tracer
-from jaxrelight.lighting.pixels import Pixels, padded
+from jaxrelight.lighting.pixels import Pixels, assembled, padded, places
 from jaxrelight.lighting.shadows import Shadows
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Incident, Light
@@ -114,8 +114,9 @@ class Seen:
         Raises:
             InputError: for a BRDF that is no sum of lobes.
         """
-        image = self._black()
+        parts = []
         for part in self.materials:
+            found = jnp.zeros((len(part.pixels.pixel), 3))
             for component in part.components:
                 if not isinstance(component.brdf, LobeSum | PackedLobes):
                     raise InputError(
@@ -123,22 +124,23 @@ class Seen:
                         "'jaxrelight-fit lafortune', or use --lighting transport"
                     )
                 turn = jnp.radians(rotate_y)
-                found = _under(component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
-                image = image.at[part.pixels.pixel].add(scale * found, mode="drop")
-        return image.reshape(*self.covered.shape, 3)
+                found += _under(component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
+            parts.append(found)
+        return scale * self._image(parts)
 
     def lit_by(
         self, lights: Sequence[Light], shadows: bool = True, texels: Texels = "parameters"
     ) -> Float[Array, "h w 3"]:
         """Radiance under local lights, of any BRDF; differentiable in lights and BRDFs while shadows stand still."""
-        image = self._black()
-        for punctual in (one for light in lights for one in light.parts()):
-            for part in self.materials:
+        every, parts = [one for light in lights for one in light.parts()], []
+        for part in self.materials:
+            found = jnp.zeros((len(part.pixels.pixel), 3))
+            for punctual in every:
                 incident, visible = part.shadows.arriving(punctual, shadows)
                 for component in part.components:
-                    found = _lit(component.brdf, component.weight, part.pixels, incident, visible, texels)
-                    image = image.at[part.pixels.pixel].add(found, mode="drop")
-        return image.reshape(*self.covered.shape, 3)
+                    found += _lit(component.brdf, component.weight, part.pixels, incident, visible, texels)
+            parts.append(found)
+        return self._image(parts)
 
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
@@ -147,8 +149,14 @@ class Seen:
         found = latlong.look_up(jnp.asarray(environment.pixels), u, v)
         return found * environment.scale
 
-    def _black(self) -> Float[Array, "p 3"]:
-        return jnp.zeros((self.covered.size, 3))
+    def _image(self, parts: Sequence[Float[Array, "p 3"]]) -> Float[Array, "h w 3"]:
+        """What the pixels of each material show."""
+        image = assembled(parts, self._place) if parts else jnp.zeros((self.covered.size, 3))
+        return image.reshape(*self.covered.shape, 3)
+
+    @functools.cached_property
+    def _place(self) -> Int[Array, " n"]:
+        return places([part.pixels for part in self.materials], self.covered.size)
 
 
 def look_at(scene: Scene, minification: Minification = "levels") -> Seen:

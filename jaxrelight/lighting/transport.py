@@ -16,6 +16,7 @@ from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.lighting.pixels import assembled
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.view import MaterialPixels, View, make_view
 from jaxrelight.lights.environment import Environment, coarsened, encode
@@ -131,7 +132,7 @@ class Relighter:
         blocks = self.transport.blocks
         reflections = tuple(_view_sides(block.reflection) for block in blocks)
         weights = tuple(block.weight for block in blocks) if weights is None else weights
-        image = shade(reflections, weights, terms, view.materials, view.shape)
+        image = shade(reflections, weights, terms, view)
         for block, pixels in zip(blocks, view.materials, strict=True):
             if block.emission is not None:
                 image = _add_emission(image, jnp.asarray(block.emission), pixels)
@@ -216,31 +217,28 @@ def shade(
     reflections: tuple[Reflection, ...],
     weights: tuple[Weight, ...],
     terms: LightTerms,
-    materials: tuple[MaterialPixels, ...],
-    shape: tuple[int, int],
+    view: View,
 ) -> Float[Array, "h w c"]:
     """Radiance of the pixels of all blocks; see `Relighter.shade`.
 
     Each block is compiled by itself: as the view moves, every block's number of pixels changes on its own.
     """
-    height, width = shape
-    image = np.zeros((height * width, terms[0].shape[-1]), terms[0].dtype)
-    for block in zip(reflections, weights, terms, materials, strict=True):
-        image = _add_block(image, *block)
-    return jnp.reshape(image, (height, width, -1))
+    parts: dict[int, Array] = {}
+    for number, *block in zip(view.part_of_block, reflections, weights, terms, strict=True):
+        found = _radiance(*block, view.parts[number])
+        parts[number] = parts[number] + found if number in parts else found
+    return assembled([parts[number] for number in range(len(view.parts))], view.place).reshape(*view.shape, -1)
 
 
 @jax.jit
-def _add_block(
-    image: Float[Array, "hw c"],
+def _radiance(
     reflection: Reflection,
     weight: Weight,
     terms: Float[Array, "v k c"],
     pixels: MaterialPixels,
-) -> Float[Array, "hw c"]:
+) -> Float[Array, "p c"]:
     corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
     # pixels p, corners b, terms k, channels c
     light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
     view = outgoing(reflection, weight, pixels.omega_o, pixels.uv, pixels.footprint)
-    radiance = jnp.sum(view * light, axis=1)
-    return image.at[pixels.pixel].add(radiance, mode="drop", unique_indices=False)
+    return jnp.sum(view * light, axis=1)

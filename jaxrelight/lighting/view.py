@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrelight.basis import latlong
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import to_local
-from jaxrelight.lighting.pixels import Pixels, padded
+from jaxrelight.lighting.pixels import Pixels, padded, places
 from jaxrelight.transport.load import Transport
 from jaxrelight.transport.normal_maps import see
 
@@ -32,12 +32,14 @@ class View:
     """What is needed to turn light terms into an image.
 
     Attributes:
-        materials: pixels of the transport's blocks, in their order.
+        parts: pixels of every material.
+        part_of_block: number of the material of each of the transport's blocks.
         covered: which pixels show a surface.
         directions: unit world direction of every pixel.
     """
 
-    materials: tuple[MaterialPixels, ...]
+    parts: tuple[MaterialPixels, ...]
+    part_of_block: tuple[int, ...]
     covered: Bool[np.ndarray, "h w"]
     directions: Float[np.ndarray, "h w 3"]
 
@@ -45,6 +47,16 @@ class View:
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.covered.shape  # pyright: ignore[reportReturnType]
+
+    @property
+    def materials(self) -> tuple[MaterialPixels, ...]:
+        """Pixels of the transport's blocks, in their order."""
+        return tuple(self.parts[number] for number in self.part_of_block)
+
+    @functools.cached_property
+    def place(self) -> Int[Array, " hw"]:
+        """See `assembled`."""
+        return places(self.parts, self.covered.size)
 
     @functools.cached_property
     def image_coordinates(self) -> tuple[Float[Array, "h w"], Float[Array, "h w"]]:
@@ -82,7 +94,8 @@ def make_view(transport: Transport, camera: Camera) -> View:
             receivers=jax.device_put(padded(receivers - first, mine)),
             weights=jax.device_put(padded(weights, mine)),
         )
-    return View(tuple(parts[name] for name in transport.names), gbuffer.covered, gbuffer.directions)
+    number = [[*parts].index(name) for name in transport.names]
+    return View(tuple(parts.values()), tuple(number), gbuffer.covered, gbuffer.directions)
 
 
 _local = jax.jit(to_local)
