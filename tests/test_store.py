@@ -241,6 +241,15 @@ def test_group_of_another_layer_is_noticed(tmp_path):
     assert "it holds 'a/1'" in _refused(store.open_layer(tmp_path / "b").read, "bits", 1)
 
 
+def test_layout_of_more_or_fewer_arrays_is_noticed(tmp_path):
+    _layer(tmp_path / "a", range(GROUPS))
+    for number, arrays in enumerate([{"bits": ARRAYS["bits"]}, {**ARRAYS, "more": ARRAYS["bits"]}]):
+        store.make_layer(tmp_path / str(number), arrays, GROUPS)
+        shutil.copy(tmp_path / str(number) / "layout.json", tmp_path / "a" / "layout.json")
+        assert "other arrays than the layer" in _refused(store.open_layer(tmp_path / "a").read, "bits", 1)
+        assert _layer(tmp_path / "a").missing == []
+
+
 def test_flipped_bit_is_noticed_wherever_it_is(tmp_path):
     _layer(tmp_path / "a", range(GROUPS))
     files = sorted(path for path in (tmp_path / "a").iterdir())

@@ -78,7 +78,11 @@ class Spot(Punctual):
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and towards the cone's edge."""
         found = from_point(self.position, self.intensity, positions)
-        angle = jnp.degrees(safe.angle(-found.omega_i, jnp.broadcast_to(self.target - self.position, positions.shape)))
+        axis = safe.normalize(self.target - self.position)
+        along = -jnp.matmul(found.omega_i, axis, precision="highest")
+        # At the light itself there is no direction.
+        along, across = jnp.where(found.distance > 0, along, 1), safe.norm(found.omega_i + along[:, None] * axis)
+        angle = jnp.degrees(jnp.arctan2(across, along))
         width = self.cutoff - self.beam
         soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
         share = jnp.where(width > 0, jnp.clip(soft, 0, 1), (angle <= self.cutoff).astype(angle.dtype))
@@ -144,7 +148,8 @@ def from_point(
     distance = safe.norm(towards)
     # At the light itself the square would be infinite.
     square = jnp.maximum(distance, 1e-6) ** 2
-    return Incident(safe.normalize(towards), distance, jnp.broadcast_to(intensity / square[:, None], positions.shape))
+    omega_i = towards / jnp.where(distance > 0, distance, 1)[:, None]
+    return Incident(omega_i, distance, jnp.broadcast_to(intensity / square[:, None], positions.shape))
 
 
 def frame_towards(place: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]) -> Float[Array, "3 3"]:
