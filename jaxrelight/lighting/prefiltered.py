@@ -22,6 +22,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, as_material
 from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.buckets import bucket, filled_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import tangent_frame
@@ -50,11 +51,9 @@ class SurfacePixels(Pixels):
 
     Attributes:
         frame: rows tangent, binormal, normal.
-        position: in the world.
     """
 
     frame: Float[Array, "p 3 3"]
-    position: Float[Array, "p 3"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,12 +66,19 @@ class SeenComponent:
 
 @dataclasses.dataclass(frozen=True)
 class SeenMaterial:
-    """A material, and the pixels that see it, with what lights reach of them."""
+    """A material, and the pixels that see it.
+
+    Attributes:
+        name: of the material.
+        components: of it.
+        pixels: that see it.
+        start: of them among the points that lights reach.
+    """
 
     name: str
     components: tuple[SeenComponent, ...]
     pixels: SurfacePixels
-    shadows: Shadows
+    start: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,10 +88,12 @@ class Seen:
     Attributes:
         materials: those that are seen.
         gbuffer: the surface points.
+        shadows: what lights reach of them, material by material.
     """
 
     materials: tuple[SeenMaterial, ...]
     gbuffer: GBuffer
+    shadows: Shadows
 
     @property
     def covered(self) -> Bool[np.ndarray, "h w"]:
@@ -132,15 +140,13 @@ class Seen:
         self, lights: Sequence[Light], shadows: bool = True, texels: Texels = "parameters"
     ) -> Float[Array, "h w 3"]:
         """Radiance under local lights, of any BRDF; differentiable in lights and BRDFs while shadows stand still."""
-        every, parts = [one for light in lights for one in light.parts()], []
-        for part in self.materials:
-            found = jnp.zeros((len(part.pixels.pixel), 3))
-            for punctual in every:
-                incident, visible = part.shadows.arriving(punctual, shadows)
-                for component in part.components:
-                    found += _lit(component.brdf, component.weight, part.pixels, incident, visible, texels)
-            parts.append(found)
-        return self._image(parts)
+        found = [jnp.zeros((len(part.pixels.pixel), 3)) for part in self.materials]
+        for punctual in (one for light in lights for one in light.parts()):
+            arriving = self.shadows.arriving(punctual, shadows)
+            for number, part in enumerate(self.materials):
+                for one in part.components:
+                    found[number] += _lit(one.brdf, one.weight, part.pixels, *arriving, part.start, texels)
+        return self._image(found)
 
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
@@ -207,7 +213,7 @@ def look(
     pixel = np.flatnonzero(gbuffer.covered)
     world = gbuffer.positions * surfaces.radius + surfaces.centre
     lifted = gbuffer.positions + OFFSET * gbuffer.face_normals
-    parts = []
+    parts, order, end = [], [np.zeros(0, int)], 0
     for number, name in enumerate(materials):
         mine = np.flatnonzero(seen == number)
         if len(mine):
@@ -222,12 +228,14 @@ def look(
                 footprint=jax.device_put(padded(gbuffer.footprint, mine)),
                 omega_o=omega_o,
                 frame=frame,
-                position=jax.device_put(padded(world, mine)),
             )
             components = tuple(seen_component(part, minification) for part in materials[name].components)
-            shadows = Shadows(tracer, lifted[mine], pixels.position, frame[:, 2], surfaces.radius)
-            parts.append(SeenMaterial(name, components, pixels, shadows))
-    return Seen(tuple(parts), gbuffer)
+            parts.append(SeenMaterial(name, components, pixels, sum(map(len, order))))
+            end = parts[-1].start + len(pixels.pixel)
+            order.append(mine)
+    mine, length = np.concatenate(order), bucket(end, 1024)
+    positions, normals = (jax.device_put(filled_up(rows[mine], length)) for rows in (world, gbuffer.normals))
+    return Seen(tuple(parts), gbuffer, Shadows(tracer, lifted[mine], positions, normals, surfaces.radius))
 
 
 def seen_component(part: Component, minification: Minification = "levels") -> SeenComponent:
@@ -292,7 +300,13 @@ def prefiltered_radiance(
 
 
 @functools.partial(jax.jit, static_argnames="texels")
-def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Incident, visible, texels: Texels):
+def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Incident, visible, start, texels: Texels):
+    # What follows a material's own pixels are those of others, for padding, which nobody reads.
+    arriving = (
+        jax.lax.dynamic_slice_in_dim(x, start, len(pixels.pixel))
+        for x in (incident.omega_i, incident.irradiance, visible)
+    )
+
     def shade(frame, omega_o, uv, footprint, towards, irradiance, visible):
         omega_i = frame @ towards
         lit = (omega_i[2] > 0) & (omega_o[2] > 0) & (visible > 0)
@@ -302,5 +316,5 @@ def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Inci
         value = _at(brdf, uv, footprint, texels, lambda one: one.evaluate(*pair))
         return jnp.where(lit, value * look_up(weight, uv, footprint) * omega_i[2] * irradiance * visible, 0)
 
-    given = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, incident.omega_i, incident.irradiance, visible
+    given = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, *arriving
     return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)

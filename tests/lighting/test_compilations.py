@@ -47,7 +47,7 @@ def test_another_mesh_of_similar_size_compiles_nothing(tmp_path, receivers: str)
     settings = dataclasses.replace(SETTINGS, receivers=receivers)
     with _compilations() as first:
         one = _picture(_scene(13, 30), settings, tmp_path / "one")
-    assert len(first) > 3
+    assert first
     with _compilations() as second:
         other = _picture(_scene(12, 28), settings, tmp_path / "other")
     assert not second
