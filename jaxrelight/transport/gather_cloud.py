@@ -19,6 +19,10 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 # Parts of what each point stands for, told apart where light is gathered nearby.
 PARTS = 4
 
+# Faces are halved while they have longer edges, and a larger area, than these in units of how far points are apart:
+# else what points stand for is less compact, and three times as many of them have to be looked at.
+_LONGEST, _LARGEST = 0.5, 1 / 16
+
 # How much points of some positions, normals and areas are worth.
 Worth = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, " p"]]
 
@@ -72,8 +76,8 @@ def gather_cloud(
 ) -> GatherCloud:
     """Points with a density of the importance, the same everywhere without.
 
-    Triangles larger than what four points stand for are parted into equal ones, of which each is worth what a random
-    point of it is. They are put in an order of which every run is compact, by splits into halves of equal weight across
+    Triangles are halved until they are small beside what a point stands for, and each is worth what a random point of
+    it is. They are put in an order of which every run is compact, by splits into halves of equal weight across
     the longest side. Along it the total of area times importance is cut into `count` equal pieces, and each gets a
     point, and one more in each of its parts: the budget of every half is its weight, but for one point.
 
@@ -99,7 +103,8 @@ def gather_cloud(
     if importance is not None:
         inside = np.einsum("pk,pkx->px", _in_triangles(*random.random((2, len(face)))), ends)
         weight = area * importance(inside, sign * surfaces.face_normals(face), area)
-    order = _compact(ends.mean(axis=1), weight, count)
+    # Backs are surfaces apart, however near their fronts are.
+    order = _compact(ends.mean(axis=1) + np.where(back[:, None], [4.0, 0, 0], 0), weight, count)
     sums = np.cumsum(weight[order])
 
     def drawn(parts: int) -> list[np.ndarray]:
@@ -183,7 +188,7 @@ def cloud_receivers(cloud: GatherCloud) -> Receivers:
 def _pieces(
     surfaces: Surfaces, count: int
 ) -> tuple[Int[np.ndarray, " p"], Float[np.ndarray, "p 3 3"], Bool[np.ndarray, " p"]]:
-    """Faces on both of their sides where they have two, large ones in equal parts.
+    """Faces on both of their sides where they have two, halved across their longest edges until they are small.
 
     Returns:
         Of every piece the face, the barycentric weights of its corners, and whether it is the back.
@@ -191,28 +196,22 @@ def _pieces(
     two_sided = surfaces.two_sided[surfaces.mesh_of_vertex[surfaces.faces[:, 0]]]
     face = np.concatenate([np.arange(len(surfaces.faces)), np.flatnonzero(two_sided)])
     back = np.arange(len(face)) >= len(surfaces.faces)
+    corners = np.broadcast_to(np.eye(3), (len(face), 3, 3))
     ends = surfaces.vertices[surfaces.faces[face]]
-    area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1)
-    steps = np.ceil(np.sqrt(area / (4 * area.sum() / count))).astype(int).clip(1, None)
-    found = []
-    for n in np.unique(steps):
-        corners = _parted(int(n))
-        mine = np.flatnonzero(steps == n)
-        repeated = np.broadcast_to(corners, (len(mine), *corners.shape)).reshape(-1, 3, 3)
-        found.append((np.repeat(face[mine], n * n), repeated, np.repeat(back[mine], n * n)))
+    area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
+    square, found = area.sum() / count, []
+    while len(face):
+        ends = np.einsum("pkc,pcx->pkx", corners, surfaces.vertices[surfaces.faces[face]])
+        # Of the edge that faces each corner.
+        length = np.linalg.norm(np.roll(ends, -1, axis=1) - np.roll(ends, 1, axis=1), axis=2)
+        area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
+        split = (length.max(axis=1) > _LONGEST * np.sqrt(square)) & (area > _LARGEST * square)
+        found.append((face[~split], corners[~split], back[~split]))
+        tip = np.argmax(length, axis=1)[split]
+        a, b, c = (corners[split, (tip + k) % 3] for k in range(3))
+        halves = np.stack([a, b, (b + c) / 2], axis=1), np.stack([a, (b + c) / 2, c], axis=1)
+        face, corners, back = np.tile(face[split], 2), np.concatenate(halves), np.tile(back[split], 2)
     return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
-
-
-def _parted(n: int) -> Float[np.ndarray, "p 3 3"]:
-    """The corners of n² equal parts of a triangle, in barycentric weights."""
-    i, j = (index.ravel() for index in np.mgrid[:n, :n])
-
-    def weights(a, b):
-        return np.stack([n - a - b, a, b], axis=-1) / n
-
-    upright = np.stack([weights(i, j), weights(i + 1, j), weights(i, j + 1)], axis=1)[i + j < n]
-    turned = np.stack([weights(i + 1, j), weights(i + 1, j + 1), weights(i, j + 1)], axis=1)[i + j < n - 1]
-    return np.concatenate([upright, turned])
 
 
 def _in_triangles(u: Float[np.ndarray, " p"], v: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:

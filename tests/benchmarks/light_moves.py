@@ -117,7 +117,8 @@ def buildings(report: Report, told: dict[str, dict]):
     row("visibility rays of a receiver", lambda t: f"{t['rays'] / t['receivers']:,.0f}", 2)
     row("final gather, size", lambda t: megabytes(t["bytes"]["indirect"]), 3)
     row("multi-bounce, size", lambda t: megabytes(t["bytes"]["between"]), 4)
-    row("both in memory (target ≤ 100 MB)", lambda t: megabytes(t["memory"]["clusters"]))
+    row("both (target ≤ 100 MB)", lambda t: megabytes(t["bytes"]["indirect"] + t["bytes"]["between"]))
+    row("both in memory", lambda t: megabytes(t["memory"]["clusters"]))
     row("coefficients of a group, shared rows", lambda t: f"{t['support']:.0f}, {t['shared']:.1f}", 5)
     row("opening, first light", lambda t: f"{t['first']:.1f} s")
     for light in ("spot", "point"):
@@ -155,9 +156,9 @@ def row_form(report: Report, told: dict[str, dict]):
                 cells = f"{each['clusters'] * 1e3:.1f} ms", f"{seconds * 1e3:.1f} ms", f"{over:.2f}×", percent(differ)
                 rows.append([f"{name}, {light}", f"{count}, {dict(ROWS)[int(count)]}", size, *cells])
     report.text(
-        "**Clusters and rows**: the same transport as rows that each keep N of their own largest coefficients, of "
-        "pixels and between surfaces. Rows are as good where their picture differs from that of clusters by no more "
-        f"than {TOLERANCE:.0%}, the tolerance that those have (target ≥ 2.5×)."
+        "**Clusters and rows**: the same transport as rows that each keep N coefficients of their own, those that "
+        "matter most under lamps, of pixels and between surfaces. Rows are as good where their picture differs from "
+        f"that of clusters by no more than {TOLERANCE:.0%}, the tolerance that those have (target ≥ 2.5×)."
     )
     report.table(["scene, light", "N", "in memory", "clusters", "rows", "rows over clusters", "differ by"], rows)
 
@@ -248,6 +249,7 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     from jaxrelight.lights.local import point, spot
     from jaxrelight.operators.clustered import Clustered
     from jaxrelight.operators.stacked import Stacked
+    from jaxrelight.transport.cloud_spectrum import cloud_spectrum
 
     place, above, target, intensity = LAMPS[name]
     scale = np.linalg.norm(np.subtract(target, above))
@@ -265,9 +267,10 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     every = [cloud.between, *(operator for _, operator in transport.each)]
     clusters = [one.clusters() for one in every if isinstance(one, Clustered)]
     both = list(zip(clusters, every, strict=True))
+    spectrum = cloud_spectrum(cloud, transport.surfaces, transport.tracer, transport.settings.seed)
     by_rows = {}
     for counts in ROWS:
-        rows = [as_rows(some, one.columns, counts[0 if i else 1]) for i, (some, one) in enumerate(both)]
+        rows = [as_rows(some, spectrum, counts[0 if i else 1]) for i, some in enumerate(clusters)]
         others = {"operator": Stacked(tuple(rows[1:])), "cloud": dataclasses.replace(cloud, between=rows[0])}
         by_rows[counts[0]] = IndirectRelighter(dataclasses.replace(transport, **others))
     blocks = [as_blocks(some, one.columns) for some, one in both]
@@ -328,13 +331,13 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     return told
 
 
-def as_rows(clusters, columns: int, count: int):
-    """The same rows, each with that many of its own largest coefficients, in codes of 8 bits."""
+def as_rows(clusters, spectrum: np.ndarray, count: int):
+    """The same rows, each with the coefficients of its own that matter most under lamps, in codes of 8 bits."""
     from jaxrelight.operators.quantised import Quantised
     from jaxrelight.operators.sparse_rows import sparse_rows
     from jaxrelight.transport.compression import Rows
 
-    kept = Rows(count, 8, np.ones(columns, np.float32))
+    kept = Rows(count, 8, spectrum)
     found = []
     for one in clusters:
         written = np.einsum("cqr,qs->rcs", one.weights, one.basis, optimize=True).astype(np.float32)
@@ -342,7 +345,7 @@ def as_rows(clusters, columns: int, count: int):
     indices, codes, scales = (np.stack([a[k] for a in found]) for k in ("indices", "values", "values_scale"))
     c, n = codes.shape[-2:]
     coded = Quantised(codes.reshape(-1, c, n), scales.reshape(-1, c, scales.shape[-1]), min(16, n))
-    return sparse_rows(indices.reshape(-1, n), coded, columns)
+    return sparse_rows(indices.reshape(-1, n), coded, len(spectrum))
 
 
 def as_blocks(clusters, columns: int):

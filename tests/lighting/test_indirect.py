@@ -115,7 +115,7 @@ def test_gradients_in_lights_and_albedo(relighter):
     leaves, tree = jax.tree.flatten((lamp, relighter.albedo))
     random = np.random.default_rng(1)
     along = [jnp.asarray(random.normal(size=leaf.shape), jnp.float32) for leaf in leaves]
-    step = 2e-3
+    step = 1e-3
     ends = [
         float(
             bright(*jax.tree.unflatten(tree, [leaf + sign * step * a for leaf, a in zip(leaves, along, strict=True)]))
