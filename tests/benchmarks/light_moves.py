@@ -267,7 +267,7 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     every = [cloud.between, *(operator for _, operator in transport.each)]
     clusters = [one.clusters() for one in every if isinstance(one, Clustered)]
     both = list(zip(clusters, every, strict=True))
-    spectrum = cloud_spectrum(cloud, transport.surfaces, transport.tracer, transport.settings.seed)
+    spectrum = cloud_spectrum(cloud.points, transport.surfaces, transport.tracer, transport.settings.seed)
     by_rows = {}
     for counts in ROWS:
         rows = [as_rows(some, spectrum, counts[0 if i else 1]) for i, some in enumerate(clusters)]
