@@ -163,6 +163,7 @@ def test_dark_store_needs_an_environment(folder, run):
     assert summary_of(run("info", "dark.toml", "--json"))["environment"] is None
 
 
+@pytest.mark.slow
 def test_surfaces_that_emit_need_no_environment(folder, run):
     lit = SCENE.replace('[environment]\nfile = "sky.exr"\n', "").replace("diffuse = 0.1", "diffuse = 0.1\nemission = 5")
     (folder / "lit.toml").write_text(lit)

@@ -16,13 +16,21 @@ def exact(tmp_path_factory) -> stores.Sound:
     return stores.prepare(tmp_path_factory.mktemp("exact"), *stores.EXACT)
 
 
-@pytest.mark.parametrize("file", stores.FILES)
+# Layouts are read by the same lines in all kinds of layers.
+@pytest.mark.parametrize(
+    "file",
+    [
+        pytest.param(file, marks=[pytest.mark.slow] * (file.endswith("layout.json") and "geometry" not in file))
+        for file in stores.FILES
+    ],
+)
 def test_damaged_file(sound, file: str):
     damages = list(stores.damages_to(file, sound))
     assert len(damages) >= 12
     assert not stores.wrong(damages, sound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", stores.EXACT_FILES)
 def test_damaged_visibility_that_is_lit_from(exact, file: str):
     assert not stores.wrong(stores.damages_to(file, exact), exact)

@@ -50,7 +50,7 @@ def test_the_error_under_natural_light_stays_within_the_tolerance(scene, folder)
             assert left.max() <= tolerance + 1e-5
             if tolerance:
                 assert left.max() > tolerance / 20
-            found, wanted = (np.einsum("grd,dn->grn", x, np.asarray(lights)) for x in (off, true))
+            found, wanted = (x @ np.asarray(lights) for x in (off, true))
             assert np.linalg.norm(found) <= 1.3 * tolerance * np.linalg.norm(wanted) + 1e-4
         sizes.append(transport.operator.nbytes)
     assert sizes == sorted(sizes, reverse=True)
@@ -69,6 +69,7 @@ def test_the_dropped_energy_is_that_of_the_rows(scene, folder):
     assert 0.9 < transport.kept < 1
 
 
+@pytest.mark.slow
 def test_light_is_differentiable_through_clusters(scene, folder):
     relighter = Relighter(opened(scene, folder, tolerance=0.05))
     light = jnp.asarray(np.random.default_rng(1).normal(size=(6 * 8**2, 3)), jnp.float32)
@@ -138,6 +139,7 @@ def test_codes_are_near_and_small(scene, folder, coefficients):
         before = coded
 
 
+@pytest.mark.slow
 def test_bounces_are_gathered_from_codes(scene, folder):
     dials = {"tolerance": 0.02, "bounces": 1, "gather_resolution": 8}
     light = jnp.asarray(np.random.default_rng(4).normal(size=(6 * 8**2, 3)) * natural_spectrum(8)[:, None], jnp.float32)
