@@ -161,7 +161,7 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
     scene = load_scene(shared("reference", "spot_lafortune.toml"))
     seen = look_at(dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size[0], height=size[1])))
     part = next(part for part in seen.materials if part.name == "object")
-    brdf, pixels_of_it = part.components[0].brdf, len(part.shadows.origins)
+    brdf, pixels_of_it = part.components[0].brdf, int(np.sum(np.asarray(part.pixels.pixel) < seen.covered.size))
     some = np.sort(np.random.default_rng(0).choice(pixels_of_it, min(pixels_of_it, SUBSET), replace=False))
     few = jax.tree.map(lambda leaf: leaf[some], part.pixels)
     rows = []
