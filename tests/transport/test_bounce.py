@@ -252,6 +252,7 @@ def test_bounced_light_cannot_be_baked_again(scene, tmp_path):
         jr.rebake(transport, transport.reflections)
 
 
+@pytest.mark.slow
 def test_exact_direct_light_keeps_bounced_light(scene, direct, tmp_path):
     """What is not compressed is the streamed rows; what was gathered stays beside them."""
     pictures = []

@@ -84,6 +84,7 @@ def test_light_is_differentiable_through_clusters(scene, folder):
     assert np.isfinite(gradient).all()
 
 
+@pytest.mark.slow
 def test_clusters_are_baked_again_as_rows_of_what_they_share(scene, folder):
     transport = opened(scene, folder, tolerance=0.0)
     again = jr.rebake(transport, transport.reflections)
