@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 import jaxrelight as jr
 from jaxrelight.geometry.surfaces import join
@@ -44,6 +45,16 @@ class Everywhere(Punctual):
 
     def at(self, positions) -> Incident:
         return self.other.at(positions)._replace(within=None)
+
+
+class Overhead(Punctual):
+    """A light straight above every point, so far away."""
+
+    far: Array
+
+    def at(self, positions) -> Incident:
+        above = jnp.broadcast_to(jnp.asarray(UP, jnp.float32), positions.shape)
+        return Incident(above, jnp.broadcast_to(self.far, positions.shape[:1]), above)
 
 
 @pytest.fixture
@@ -108,3 +119,9 @@ def test_only_so_much_is_kept(floor, monkeypatch):
     assert tracer.rays == once
     shadows.arriving(lamps[0])
     assert tracer.rays == once + COUNT // 2
+
+
+def test_a_light_from_the_same_direction_but_nearer_is_another(floor):
+    shadows, _ = floor
+    far, near = (np.asarray(shadows.arriving(Overhead(jnp.asarray(d, jnp.float32)))[1]) for d in (5.0, 0.05))
+    assert far.sum() < near.sum() == COUNT // 2

@@ -64,6 +64,16 @@ def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
     np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted.mean(axis=(0, 1)), rtol=0.05)
 
 
+def test_every_bounce_of_a_sky_adds_light(object_outdoors):
+    """Without any, pixels see the sky itself; what is added grows less."""
+    sky = gradient()
+    found = np.asarray([object_outdoors.indirect([], bounces, sky).mean() for bounces in range(4)])
+    added = np.diff(found)
+    assert found[0] > 0
+    assert (added > 1e-4 * found[0]).all()
+    assert (np.diff(added) < 0).all()
+
+
 def test_layers_add_up(object_outdoors):
     layers = object_outdoors.layers([point([0.4, 0.8, 0.4], 1.0)], sky=gradient())
     whole = sum(layers[name] for name in ("direct", "indirect.diffuse", "indirect.glossy"))
