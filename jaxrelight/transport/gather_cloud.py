@@ -21,7 +21,7 @@ PARTS = 4
 
 # Faces are halved while they have longer edges, and a larger area, than these in units of how far points are apart:
 # else what points stand for is less compact, and three times as many of them have to be looked at.
-_LONGEST, _LARGEST = 0.5, 1 / 16
+PIECES = 0.5, 1 / 16
 
 # How much points of some positions, normals and areas are worth.
 Worth = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, " p"]]
@@ -199,13 +199,13 @@ def _pieces(
     corners = np.broadcast_to(np.eye(3), (len(face), 3, 3))
     ends = surfaces.vertices[surfaces.faces[face]]
     area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
-    square, found = area.sum() / count, []
+    (longest, largest), square, found = PIECES, area.sum() / count, []
     while len(face):
         ends = np.einsum("pkc,pcx->pkx", corners, surfaces.vertices[surfaces.faces[face]])
         # Of the edge that faces each corner.
         length = np.linalg.norm(np.roll(ends, -1, axis=1) - np.roll(ends, 1, axis=1), axis=2)
         area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
-        split = (length.max(axis=1) > _LONGEST * np.sqrt(square)) & (area > _LARGEST * square)
+        split = (length.max(axis=1) > longest * np.sqrt(square)) & (area > largest * square)
         found.append((face[~split], corners[~split], back[~split]))
         tip = np.argmax(length, axis=1)[split]
         a, b, c = (corners[split, (tip + k) % 3] for k in range(3))

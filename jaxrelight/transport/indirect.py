@@ -15,7 +15,7 @@ from jaxrelight.scene import Scene
 from jaxrelight.transport.cloud_spectrum import cloud_spectrum
 from jaxrelight.transport.compression import of_cloud
 from jaxrelight.transport.final_gather import FinalGather
-from jaxrelight.transport.gather_cloud import cloud_receivers, gather_cloud
+from jaxrelight.transport.gather_cloud import PARTS, PIECES, cloud_receivers, gather_cloud
 from jaxrelight.transport.groups import Report, timed
 from jaxrelight.transport.importance import Importance
 from jaxrelight.transport.layer_files import write_lights, write_once
@@ -50,7 +50,8 @@ def make_indirect(
         if settings.importance:
             worth = Importance(surfaces, tracer, placed.seen, albedo, seed=settings.seed)
             worth_key = here.receivers_key(albedo.key)
-        cloud_key = store.key_of(here.key, settings.gather_samples, settings.seed, worth_key, settings.sky)
+        made_by = settings.gather_samples, settings.seed, worth_key, settings.sky, PIECES, PARTS
+        cloud_key = store.key_of(here.key, *made_by)
         cloud = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed, sky=settings.sky)
         arrays = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
         write_once(folder / f"cloud-{cloud_key}", arrays)

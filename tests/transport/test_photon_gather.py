@@ -8,7 +8,11 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import InputError, Part
+from jaxrelight.geometry.surfaces import join
+from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.local import point
+from jaxrelight.transport.gather_cloud import gather_cloud
+from jaxrelight.transport.photon_gather import PhotonGather
 from tests.lighting.test_indirect import ball, opened, room
 
 PHOTONS = {"gather_samples": 1024, "photons": 100_000, "bounces": 3}
@@ -51,3 +55,13 @@ def test_outdoors_nothing_comes_back(tmp_path):
     relighter = opened(scene, tmp_path, **PHOTONS)
     light = jnp.ones((1024, 3))
     np.testing.assert_array_equal(relighter.spread(light), light)
+
+
+def test_area_at_an_edge_is_what_the_surface_has_there():
+    """Within a distance of a rectangle's middle, edge and corner: a disc, half of one and a quarter."""
+    surfaces = join([jr.plane((2, 2), 4)])
+    gather = PhotonGather(gather_cloud(surfaces, 4096), surfaces, Tracer(surfaces), lambda *_: np.ones(3), 1, 1)
+    places = surfaces.to_scene(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 1]]))
+    radius = 0.3
+    found = gather._areas(places, np.tile([0.0, 1, 0], (3, 1)), np.full(3, radius))
+    np.testing.assert_allclose(found / (np.pi * radius**2), [1, 0.5, 0.25], rtol=0.08)
