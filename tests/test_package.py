@@ -21,7 +21,7 @@ LAYERS = (
     ("command_line", "npz", "toml_table", "whole_file"),
     ("images", "store", "operators", "transport.settings", "geometry.frame"),
     ("basis", "brdf", "geometry"),
-    ("lights", "transport.bake", "transport.visibility", "transport.normal_maps", "transport.groups"),
+    ("brdf.bandwidth", "lights", "transport.bake", "transport.visibility", "transport.normal_maps", "transport.groups"),
     ("transport.gather_cloud", "transport.photons"),
     ("transport.importance", "transport.cloud_spectrum"),
     ("scene_materials", "operators.streamed"),

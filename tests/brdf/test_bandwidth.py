@@ -1,0 +1,74 @@
+"""Bandwidth of BRDFs: closed forms against wavelets, and the mapping they lie on."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
+from jaxrelight.brdf.bandwidth import (
+    bandwidth_table,
+    compressed,
+    from_square,
+    is_isotropic,
+    lobe_bandwidth,
+    to_square,
+)
+from jaxrelight.brdf.lobes import lambert, phong
+
+
+def test_square_and_back():
+    a, b = np.random.default_rng(0).random((2, 256))
+    omega = from_square(a, b)
+    assert (omega[:, 2] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(omega, axis=1), 1, rtol=1e-12)
+    found = jax.vmap(to_square)(jnp.asarray(omega, jnp.float32))
+    np.testing.assert_allclose(np.stack(found), np.stack([a, b]), atol=1e-6)
+    # Cells differ in solid angle by no more than a few times.
+    areas = np.linalg.norm(np.cross(from_square(a + 1e-5, b) - omega, from_square(a, b + 1e-5) - omega), axis=1) * 1e10
+    assert areas.min() > 1.5
+    assert areas.max() < 11
+
+
+def test_lambert_has_none():
+    table = bandwidth_table(lambert(0.5), 64)
+    assert table.isotropic
+    assert not np.asarray(table.values).any()
+    up = jnp.asarray([0.0, 0, 1])
+    assert float(lobe_bandwidth(lambert(0.5), up, up)) == 0
+
+
+@pytest.mark.parametrize("exponent", [4, 20, 100, 500])
+def test_lobes_by_wavelets_are_near_their_closed_form(exponent: int):
+    """Within what the square stretches angles, √3, and half an octave, which is what a wavelet's level tells."""
+    brdf = phong(0, 0.5, exponent)
+    omega_o = jnp.asarray([0.6, 0, 0.8])
+    mirror = jnp.asarray([-0.6, 0, 0.8])
+    table = bandwidth_table(brdf, 256)
+    found, wanted = float(table.look_up(mirror, omega_o)), float(lobe_bandwidth(brdf, mirror, omega_o))
+    assert wanted / 2.45 <= found <= 2.45 * wanted
+
+
+def test_sharper_lobes_have_more():
+    up = jnp.asarray([0.0, 0, 1])
+    found = [float(bandwidth_table(phong(0, 0.5, n), 128).look_up(up, up)) for n in (2, 20, 200)]
+    assert found == sorted(found)
+    assert found[2] > 3 * found[0]
+
+
+def test_isotropic_or_not():
+    assert is_isotropic(phong(0.1, 0.4, 50))
+    assert not is_isotropic(ashikhmin_shirley(0.1, 0.5, 10, 500))
+    # Turned about the normal, an isotropic table says the same.
+    table = bandwidth_table(phong(0, 0.5, 50), 64)
+    one = table.look_up(jnp.asarray([-0.6, 0, 0.8]), jnp.asarray([0.6, 0, 0.8]))
+    other = table.look_up(jnp.asarray([0, -0.6, 0.8]), jnp.asarray([0, 0.6, 0.8]))
+    assert float(one) == float(other) > 0
+
+
+def test_principal_components_hold_most():
+    table = bandwidth_table(phong(0.1, 0.4, 30), 64)
+    errors = [compressed(table, k)[1] for k in (0, 2, 4, 8, 16)]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 1e-5
+    assert errors[3] < 0.5 * errors[0]
