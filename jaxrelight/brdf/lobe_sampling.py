@@ -9,7 +9,6 @@ from jaxtyping import Array, Float, Key
 
 from jaxrelight import safe
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.sampling import from_disc
 from jaxrelight.geometry.frame import tangent_frame
 
 # Share of samples that the cosine takes at least, so that estimates have no bias where lobes are 0.
@@ -19,13 +18,15 @@ _LEAST_COSINE_SHARE = 0.05
 class LobeSampler(eqx.Module):
     """ω_i for one ω_o, drawn from a mixture: the cosine, and for every lobe max(0, ω_i · p)ⁿ about its peak p.
 
+    The cosine is a lobe about the normal, of exponent 1, and comes first.
+
     A lobe's share grows with what it holds over the whole sphere, scale · |Cᵀω_o|ⁿ · 2π/(n + 1), summed over channels;
     the cosine's with the diffuse albedo. A lobe whose C or exponent differ by channel is drawn by each channel's.
     Directions drawn below the surface reflect nothing; they count as samples all the same, so the density integrates
     to 1 over the sphere, not the hemisphere.
     """
 
-    shares: Float[Array, " 1+m"]
+    shares: Float[Array, " m"]
     peaks: Float[Array, "m 3"]
     exponents: Float[Array, " m"]
 
@@ -39,8 +40,9 @@ class LobeSampler(eqx.Module):
         even = jnp.zeros_like(shares).at[0].set(1)
         shares = jnp.where(total > 0, shares / jnp.where(total > 0, total, 1), even)
         self.shares = (1 - _LEAST_COSINE_SHARE) * shares + _LEAST_COSINE_SHARE * even
-        self.peaks = peaks.reshape(-1, 3)
-        self.exponents = brdf.exponent.ravel()
+        up = jnp.asarray([[0, 0, 1]], peaks.dtype)
+        self.peaks = jnp.concatenate([up, peaks.reshape(-1, 3)])
+        self.exponents = jnp.concatenate([jnp.ones(1, peaks.dtype), brdf.exponent.ravel()])
 
     def sample(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """One direction; it may lie below the surface."""
@@ -48,16 +50,14 @@ class LobeSampler(eqx.Module):
 
     def at(self, choice: Float[Array, ""], u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
         """The direction that three numbers from 0 to 1 stand for: uniform ones, random or not, give its density."""
-        drawn = [from_disc(u, v)[None]]
-        if len(self.exponents):
-            drawn.append(jax.vmap(lambda peak, n: _about(peak, n, u, v))(self.peaks, self.exponents))
         part = jnp.searchsorted(jnp.cumsum(self.shares), choice, side="right")
-        return jnp.concatenate(drawn)[jnp.minimum(part, len(self.shares) - 1)]
+        part = jnp.minimum(part, len(self.shares) - 1)
+        return _about(self.peaks[part], self.exponents[part], u, v)
 
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle, over the whole sphere."""
         lobes = (self.exponents + 1) / (2 * math.pi) * safe.power(self.peaks @ omega_i, self.exponents)
-        return self.shares[0] * jnp.maximum(omega_i[2], 0) / math.pi + jnp.sum(self.shares[1:] * lobes)
+        return jnp.sum(self.shares * lobes)
 
 
 def _about(peak, exponent, u, v):

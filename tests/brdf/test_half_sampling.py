@@ -1,0 +1,78 @@
+"""Half-vector sampling: densities integrate to one, samples follow them, estimates have no bias."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
+from jaxrelight.brdf.half_sampling import half_vectors
+from jaxrelight.brdf.lobes import lambert, phong
+from jaxrelight.brdf.sampling import directional_albedo
+from jaxrelight.lighting.random_numbers import even_numbers
+
+BRDFS = {
+    "lambert": lambert(0.5),
+    "black": lambert(0.0),
+    "phong": phong(0.2, 0.5, 60),
+    "metal": phong(0, 0.9, 15),
+    "anisotropic": ashikhmin_shirley(0.1, 0.5, 20, 200),
+}
+VIEWS = jnp.asarray([[0.0, 0, 1], [0.6, 0, 0.8], [0.1, -0.95, 0.29]])
+
+
+def _samples(brdf, omega_o, count=1 << 14):
+    sampler = half_vectors(brdf).towards(omega_o / jnp.linalg.norm(omega_o))
+    u = even_numbers(jnp.arange(count), jnp.zeros(3, jnp.uint32))
+    omega_i = jax.vmap(lambda one: sampler.at(*one))(u)
+    return sampler, omega_i, jax.vmap(sampler.pdf)(omega_i)
+
+
+@pytest.mark.parametrize("name", BRDFS)
+@pytest.mark.parametrize("view", range(3))
+def test_samples_follow_their_density(name: str, view: int):
+    """Means of functions over samples, divided by the density, are their integrals over the sphere."""
+    _, omega_i, pdf = _samples(BRDFS[name], VIEWS[view])
+    np.testing.assert_allclose(np.linalg.norm(omega_i, axis=1), 1, atol=1e-5)
+    assert (np.asarray(pdf) > 0).all()
+    upper = np.asarray(omega_i[:, 2] > 0)
+    weight = np.where(upper, 1 / np.asarray(pdf), 0)
+    # The cosine's own integral, and of a function of azimuth, too.
+    np.testing.assert_allclose((weight * np.asarray(omega_i[:, 2])).mean(), np.pi, rtol=0.05)
+    np.testing.assert_allclose(
+        (weight * np.asarray(omega_i[:, 2]) * np.asarray(omega_i[:, 0]) ** 2).mean(), np.pi / 4, rtol=0.1
+    )
+
+
+@pytest.mark.parametrize("name", ["phong", "metal", "anisotropic"])
+@pytest.mark.parametrize("view", range(3))
+def test_albedo_is_estimated_without_bias_and_with_little_noise(name: str, view: int):
+    brdf, omega_o = BRDFS[name], VIEWS[view] / jnp.linalg.norm(VIEWS[view])
+    _, omega_i, pdf = _samples(brdf, omega_o)
+    above = omega_i[:, 2] > 0
+    up = jnp.asarray([0.0, 0, 1])
+    value = jax.vmap(lambda one: brdf.evaluate(one, omega_o)[0])(jnp.where(above[:, None], omega_i, up))
+    weight = np.asarray(jnp.where(above, value * omega_i[:, 2] / pdf, 0), float)
+    wanted = float(directional_albedo(brdf, omega_o, 256, 512)[0])
+    np.testing.assert_allclose(weight.mean(), wanted, rtol=0.01)
+    if name != "anisotropic":
+        # The sampler knows where it is bright: no weight is far from the mean.
+        assert weight.std() <= 2.5 * weight.mean()
+
+
+def test_sharp_highlight_is_hit():
+    brdf = phong(0.0, 0.5, 1e4)
+    _, omega_i, pdf = _samples(brdf, VIEWS[1])
+    value = jax.vmap(lambda one: brdf.evaluate(one, VIEWS[1])[0])(omega_i) * omega_i[:, 2] / pdf
+    np.testing.assert_allclose(np.asarray(value).mean(), 0.5 * 0.8 * (1e4 + 2) / (1e4 + 1), rtol=0.02)
+
+
+def test_gradients_are_finite():
+    table = half_vectors(BRDFS["phong"])
+
+    def density(omega_o, omega_i):
+        return table.towards(omega_o).pdf(omega_i)
+
+    for omega_i in ([0.0, 0, 1], [0.6, 0, 0.8], [-0.6, 0, 0.8], [1.0, 0, 0]):
+        for grad in jax.grad(density, (0, 1))(jnp.asarray([0.6, 0, 0.8]), jnp.asarray(omega_i)):
+            assert np.isfinite(grad).all()
