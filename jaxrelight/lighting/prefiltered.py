@@ -80,6 +80,10 @@ class SeenMaterial:
     pixels: SurfacePixels
     start: int
 
+    def positions(self, shadows: Shadows) -> Float[Array, "p 3"]:
+        """Of the pixels, in the world; of padding, those of others."""
+        return jax.lax.dynamic_slice_in_dim(shadows.positions, self.start, len(self.pixels.pixel))
+
 
 @dataclasses.dataclass(frozen=True)
 class Seen:
@@ -134,7 +138,7 @@ class Seen:
                 turn = jnp.radians(rotate_y)
                 found += _under(component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
             parts.append(found)
-        return scale * self._image(parts)
+        return scale * self.image(parts)
 
     def lit_by(
         self, lights: Sequence[Light], shadows: bool = True, texels: Texels = "parameters"
@@ -146,7 +150,7 @@ class Seen:
             for number, part in enumerate(self.materials):
                 for one in part.components:
                     found[number] += _lit(one.brdf, one.weight, part.pixels, *arriving, part.start, texels)
-        return self._image(found)
+        return self.image(found)
 
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
@@ -155,7 +159,7 @@ class Seen:
         found = latlong.look_up(jnp.asarray(environment.pixels), u, v)
         return found * environment.scale
 
-    def _image(self, parts: Sequence[Float[Array, "p 3"]]) -> Float[Array, "h w 3"]:
+    def image(self, parts: Sequence[Float[Array, "p 3"]]) -> Float[Array, "h w 3"]:
         """What the pixels of each material show."""
         image = assembled(parts, self._place) if parts else jnp.zeros((self.covered.size, 3))
         return image.reshape(*self.covered.shape, 3)

@@ -26,6 +26,7 @@ class Shadows:
     Attributes:
         origins: of the rays, in scene space.
         positions: of the points in the world, and padding.
+        radius: length of scene space's unit in the world.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class Shadows:
             radius: length of scene space's unit in the world.
         """
         self.origins = np.ascontiguousarray(origins, np.float32)
-        self._tracer, self._radius = tracer, radius
+        self._tracer, self.radius = tracer, radius
         self.positions, self._normals = positions, normals
         self._kept: collections.OrderedDict[bytes, np.ndarray] = collections.OrderedDict()
         self._held = 0
@@ -76,7 +77,7 @@ class Shadows:
         bits = self._kept.get(key.digest())
         if bits is None:
             # Not as far as the light, so that a lamp's own surface does not hide it.
-            bits = np.packbits(~self._blocked(asked, towards, far / self._radius - 2 * OFFSET))
+            bits = np.packbits(~self._blocked(asked, towards, far / self.radius - 2 * OFFSET))
             self._kept[key.digest()] = bits
             self._held += len(bits) + _EACH_KEPT
         self._kept.move_to_end(key.digest())

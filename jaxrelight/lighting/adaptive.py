@@ -1,0 +1,389 @@
+"""Shading where bandwidth asks, with as many samples as noise asks (Bagher 2011): nothing is precomputed for a mesh.
+
+A few samples of each pixel predict how its light varies. From that follow the pixels that are shaded, the samples that
+each of them gets, and the weights by which all others lie between them. Components of a material are shaded apart and
+multiplied by its textures in every pixel, so textures never ask for shading.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy import ndimage
+
+from jaxrelight.brdf.texture import look_up
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.curvature import curvature
+from jaxrelight.lighting.estimate import RUN, estimate
+from jaxrelight.lighting.hierarchy import Features, Hierarchy, hierarchy
+from jaxrelight.lighting.pixels import padded
+from jaxrelight.lighting.prediction import Prediction, predict
+from jaxrelight.lighting.prefiltered import Seen, SeenMaterial, SurfacePixels
+from jaxrelight.lighting.random_numbers import MOST
+from jaxrelight.lighting.sampled import Sampled, sampled
+from jaxrelight.lights.pyramid import LightPyramid
+
+# Errors between parents that are tried; 0 shades every pixel.
+_TOLERANCES = (*(0.32 * 2 ** (-k / 2) for k in range(14)), 0.0)
+# Of the predicted error, the root mean square of what is found.
+_OF_PREDICTED = 0.15
+# Error² of n filtered samples is this · variance / n^_DECAY.
+_NOISE, _DECAY = 0.4, 1.3
+
+# Components' BRDFs of each material.
+Parts = Sequence[Sequence[Sampled]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Layer:
+    """What is shaded of the components with the same number in their materials.
+
+    Attributes:
+        between: where to shade, and what lies between.
+        counts: samples of each pixel.
+        bandwidth: that is predicted in the image, in cycles per pixel.
+    """
+
+    between: Hierarchy
+    counts: Int[np.ndarray, "h w"]
+    bandwidth: Float[Array, "h w"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """Where to shade, and how well.
+
+    Attributes:
+        layers: of components.
+        interpolation: root-mean-square error of displayed values that is predicted for what lies between.
+        noise: that of samples.
+    """
+
+    layers: tuple[Layer, ...]
+    interpolation: float
+    noise: float
+
+    @property
+    def samples(self) -> int:
+        """Of all pixels and components."""
+        return sum(int(layer.counts.sum()) for layer in self.layers)
+
+    @property
+    def shaded(self) -> int:
+        """How many pixels are, each component counted."""
+        return sum(int(np.count_nonzero(layer.counts)) for layer in self.layers)
+
+
+class AdaptiveShader:
+    """A camera's view, ready to be lit by environments."""
+
+    def __init__(self, seen: Seen, camera: Camera, parts: Parts | None = None):
+        """Finds what draws directions for every BRDF, where it is not given; seconds for one that is no sum of lobes.
+
+        Args:
+            seen: what the camera sees.
+            camera: that one.
+            parts: of another frame of the same materials.
+        """
+        self.seen = seen
+        made: dict[int, Sampled] = {}
+        self.parts = parts or tuple(
+            tuple(made.setdefault(id(one.brdf), sampled(one.brdf)) for one in material.components)
+            for material in seen.materials
+        )
+        self._pixel_angle = jnp.float32(np.sqrt(camera.solid_angles().max()))
+        self._material = np.full(seen.covered.size + 1, -1, np.int32)
+        for number, m in enumerate(seen.materials):
+            facing = np.asarray(m.pixels.omega_o[:, 2]) > 0
+            self._material[np.minimum(m.pixels.pixel, seen.covered.size)[facing]] = number
+        self._material = self._material[:-1].reshape(seen.covered.shape)
+        bend, place = np.zeros(seen.covered.size, np.float32), np.flatnonzero(seen.covered)
+        bend[place] = curvature(seen.gbuffer, seen.shadows.radius)
+        eye = np.asarray(camera.origin)
+        self._probes = [self._probe(number, m, bend, eye) for number, m in enumerate(seen.materials)]
+
+    def _probe(self, number: int, m: SeenMaterial, bend, eye) -> "_Probe":
+        """Every fourth pixel, and those that see another material than all of them around."""
+        every = np.zeros_like(self._material, bool)
+        every[::2, ::2] = True
+        mine = self._material == number
+        near = np.asarray(ndimage.maximum_filter(mine & every, 3, mode="constant"), bool)
+        pixel = np.asarray(m.pixels.pixel)
+        real = np.flatnonzero(pixel < mine.size)
+        asked = real[(mine & (every | ~near)).ravel()[pixel[real]]]
+        position = np.asarray(m.positions(self.seen.shadows))
+        rows = jax.tree.map(lambda x: jnp.asarray(padded(np.asarray(x), asked)), m.pixels)
+        pixels = eqx.tree_at(lambda of: of.pixel, rows, jnp.asarray(padded(pixel, asked, mine.size)))
+        distance = np.linalg.norm(position - eye, axis=1)
+        return _Probe(
+            pixels,
+            jnp.asarray(padded(bend[np.minimum(pixel, mine.size - 1)], asked)),
+            jnp.asarray(padded(distance, asked)),
+        )
+
+    def predicted(self, light: LightPyramid, samples: int = 16) -> tuple[tuple[Prediction, ...], ...]:
+        """Of each material's components, at a quarter of the pixels.
+
+        Args:
+            light: the environment.
+            samples: n_b.
+        """
+        return tuple(
+            tuple(predict(part, light, *probe, self._pixel_angle, samples) for part in parts)
+            for probe, parts in zip(self._probes, self.parts, strict=True)
+        )
+
+    def plan(
+        self,
+        light: LightPyramid,
+        *,
+        samples: float | None = None,
+        tolerance: float | None = None,
+        white: float = 1.0,
+        predicted: tuple[tuple[Prediction, ...], ...] | None = None,
+    ) -> Plan:
+        """Where to shade, by a budget or by the error that is allowed.
+
+        Args:
+            light: the environment.
+            samples: a mean over all pixels that show a surface.
+            tolerance: root-mean-square error of displayed values, which range from 0 to 1.
+            white: the radiance that is displayed as 1.
+            predicted: what `predicted` says, where it is known.
+
+        Raises:
+            InputError: unless one of both is given, above 0.
+        """
+        if (samples is None) == (tolerance is None):
+            raise InputError("adaptive shading takes either samples, a budget, or tolerance, a quality")
+        if not 0 < (samples or tolerance or 0) < np.inf:
+            raise InputError("samples and tolerance of adaptive shading must be above 0")
+        predicted = predicted or self.predicted(light)
+        asked = [self._asked(k, predicted, white) for k in range(max(map(len, self.parts), default=0))]
+        pixels = max(int(self.seen.covered.sum()), 1)
+        tried: dict[int, _Candidate] = {}
+
+        def cost(step: int) -> float:
+            """The error of a budget, or the budget of an error."""
+            if step not in tried:
+                layers = [_candidate(one, _TOLERANCES[step]) for one in asked]
+                tried[step] = _Candidate(
+                    layers,
+                    sum(layer.error for layer in layers) / pixels,
+                    sum(layer.spread for layer in layers),
+                    sum(layer.shaded for layer in layers) * RUN,
+                    samples and samples * pixels,
+                    tolerance,
+                    pixels,
+                )
+            return tried[step].cost
+
+        step = len(_TOLERANCES) // 2
+        for way in (-1, 1):
+            while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
+                step += way
+        best = tried[step]
+        layers = []
+        for one, layer in zip(asked, best.layers, strict=True):
+            wanted = np.asarray(layer.wanted)
+            each = np.round(wanted * (best.budget / max(best.spread, 1e-30)) / RUN) * RUN
+            counts = np.where(np.asarray(layer.between.shaded), np.clip(each, RUN, MOST), 0).astype(np.int32)
+            layers.append(Layer(layer.between, counts, one.bandwidth))
+        return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.noise(best.budget))))
+
+    def shade(
+        self, plan: Plan, light: LightPyramid, seed: int = 0, parts: Parts | None = None, *, filtered: bool = True
+    ) -> Float[Array, "h w 3"]:
+        """Radiance; differentiable in the light and in `parts`, whose samples stand still.
+
+        Args:
+            plan: where to shade.
+            light: the environment that was planned for, or another.
+            seed: of samples.
+            parts: BRDFs in the place of the shader's own.
+            filtered: see `estimate`.
+        """
+        found = [jnp.zeros((len(m.pixels.pixel), 3)) for m in self.seen.materials]
+        for k, layer in enumerate(plan.layers):
+            numbers = [i for i, of in enumerate(self.parts) if k < len(of)]
+            image = jnp.zeros((self.seen.covered.size, 3))
+            for number in numbers:
+                m, part = self.seen.materials[number], (parts or self.parts)[number][k]
+                counts = self._of(m, layer.counts)
+                radiance = estimate(part, light, m.pixels, counts, seed, filtered)
+                image = image.at[m.pixels.pixel].add(radiance, mode="drop")
+            image = layer.between.filled(image.reshape(*self.seen.covered.shape, 3)).reshape(-1, 3)
+            for number in numbers:
+                m = self.seen.materials[number]
+                weight = _weight(m.components[k].weight, m.pixels)
+                found[number] += weight * image.at[m.pixels.pixel].get(mode="fill", fill_value=0)
+        return self.seen.image(found)
+
+    def uniform(
+        self, light: LightPyramid, samples: int, seed: int = 0, *, filtered: bool = False
+    ) -> Float[Array, "h w 3"]:
+        """Radiance by the same number of samples in every pixel, for each component."""
+        found = []
+        for m, parts in zip(self.seen.materials, self.parts, strict=True):
+            counts = np.where(np.asarray(m.pixels.pixel) < self.seen.covered.size, samples, 0)
+            radiance = jnp.zeros((len(m.pixels.pixel), 3))
+            for part, component in zip(parts, m.components, strict=True):
+                given = estimate(part, light, m.pixels, counts, seed, filtered)
+                radiance += given * _weight(component.weight, m.pixels)
+            found.append(radiance)
+        return self.seen.image(found)
+
+    def _of(self, m: SeenMaterial, image: np.ndarray) -> np.ndarray:
+        """What a material's pixels have of an image; 0 for padding."""
+        return np.append(image.ravel(), 0)[np.minimum(m.pixels.pixel, image.size)]
+
+    def _asked(self, k: int, predicted, white: float) -> "_Asked":
+        """What the light of component k is predicted to depend on, the largest around each pixel."""
+        found = []
+        for m, probe, parts in zip(self.seen.materials, self._probes, predicted, strict=True):
+            if k >= len(parts):
+                continue
+            weights = [jnp.mean(_weight(one.weight, probe.pixels), axis=1) for one in m.components]
+            total = sum(w * one.radiance for w, one in zip(weights, parts, strict=True))
+            visible = weights[k] * display_slope(jnp.asarray(total) / white) / white
+            one = parts[k]
+            rows = one.angular, visible * one.radiance, visible * jnp.sqrt(one.variance), one.image
+            found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))
+        image = _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
+        angular, contrast, deviation, bandwidth = jnp.moveaxis(_most(image), -1, 0)
+        kind = np.where(
+            np.isin(self._material, [i for i, of in enumerate(self.parts) if k < len(of)]), self._material, -1
+        )
+        features = Features(
+            jnp.asarray(kind), self._mirrored, angular, self._position, jnp.zeros_like(angular), contrast
+        )
+        return _Asked(hierarchy(features), deviation, bandwidth)
+
+    @functools.cached_property
+    def _mirrored(self) -> Float[Array, "h w 3"]:
+        """Where each pixel mirrors the eye."""
+        return self._image([_mirrored(m.pixels) for m in self.seen.materials])
+
+    @functools.cached_property
+    def _position(self) -> Float[Array, "h w 3"]:
+        return self._image([m.positions(self.seen.shadows) for m in self.seen.materials])
+
+    def _image(self, rows) -> Float[Array, "h w c"]:
+        found = [(m.pixels.pixel, of) for m, of in zip(self.seen.materials, rows, strict=True)]
+        return _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
+
+
+class _Probe(NamedTuple):
+    """Pixels at which is predicted, and what that takes."""
+
+    pixels: SurfacePixels
+    curvature: Float[Array, " p"]
+    distance: Float[Array, " p"]
+
+
+class _Asked(NamedTuple):
+    """How one layer's pixels hang together, the deviation of a sample as it is seen, and bandwidth in the image."""
+
+    between: Hierarchy
+    deviation: Float[Array, "h w"]
+    bandwidth: Float[Array, "h w"]
+
+
+class _CandidateLayer(NamedTuple):
+    """Where to shade, and what that leaves: Σ error² between, and what samples go by, pixel by pixel and in all."""
+
+    between: Hierarchy
+    wanted: Float[Array, "h w"]
+    error: float
+    spread: float
+    shaded: int
+
+
+@dataclasses.dataclass(frozen=True)
+class _Candidate:
+    """One way to plan: mean error² of what lies between, what samples go by, and the fewest samples there can be."""
+
+    layers: list[_CandidateLayer]
+    error: float
+    spread: float
+    least: int
+    given: float | None
+    tolerance: float | None
+    pixels: int
+
+    def noise(self, budget: float) -> float:
+        """Mean error² of so many samples."""
+        return _NOISE * self.spread ** (1 + _DECAY) / self.pixels * max(budget, 1) ** -_DECAY
+
+    @property
+    def budget(self) -> float:
+        """Samples in all: those given, or what keeps the error within the tolerance, as far as samples reach."""
+        if self.given is not None:
+            return max(self.given, self.least)
+        assert self.tolerance is not None
+        left = max(self.tolerance**2 - self.error, 1e-3 * self.tolerance**2)
+        return max((self.noise(1) / left) ** (1 / _DECAY), self.least)
+
+    @property
+    def cost(self) -> float:
+        """What is to be as small as possible."""
+        if self.given is not None:
+            return (self.error + self.noise(self.budget)) * max(self.budget / self.given, 1)
+        return self.budget
+
+
+def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
+    """How fast the displayed value, in sRGB and clipped at 1, grows with the linear one.
+
+    Above 1 nothing is seen of it; as the value is predicted roughly, its square is what takes over.
+    """
+    inside = jnp.clip(value, 0.0031308, 1)
+    slope = jnp.where(value <= 0.0031308, 12.92, 1.055 / 2.4 * inside ** (1 / 2.4 - 1))
+    return slope / jnp.maximum(value, 1) ** 2
+
+
+def _candidate(asked: _Asked, tolerance: float) -> _CandidateLayer:
+    between = asked.between.within(tolerance)
+    wanted, error, spread, shaded = _work(between, between.influence(), asked.deviation)
+    return _CandidateLayer(between, wanted, float(error), float(spread), int(shaded))
+
+
+@jax.jit
+def _work(between, influence, deviation):
+    wanted = (influence * deviation**2) ** (1 / (1 + _DECAY))
+    error = _OF_PREDICTED**2 * jnp.sum(between.left**2)
+    return wanted, error, jnp.sum(wanted), jnp.sum(between.shaded)
+
+
+@functools.partial(jax.jit, static_argnames="size")
+def _scattered(rows, size: int):
+    """The flat image of what pixels have; 0 elsewhere."""
+    found = jnp.zeros((size, rows[0][1].shape[1]), rows[0][1].dtype)
+    for pixel, row in rows:
+        found = found.at[pixel].set(row, mode="drop")
+    return found
+
+
+@jax.jit
+def _mirrored(pixels):
+    normal = pixels.frame[:, 2]
+    eye = jnp.einsum("pxy,px->py", pixels.frame, pixels.omega_o, precision="highest")
+    return 2 * pixels.omega_o[:, 2:] * normal - eye
+
+
+@eqx.filter_jit
+def _weight(weight, pixels):
+    return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
+
+
+@jax.jit
+def _most(image):
+    """The largest around each pixel."""
+    return jax.lax.reduce_window(image, -jnp.inf, jax.lax.max, (3, 3, 1), (1, 1, 1), "SAME")

@@ -1,0 +1,119 @@
+"""Radiance of pixels by samples, as many for each as it is given: work in batches of one shape (Bagher 2011 §3.3).
+
+A piece of work is a pixel and a run of samples. However counts differ, batches hold nothing else, and one shape is
+compiled for each kind of BRDF.
+"""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrelight.lighting.prefiltered import SurfacePixels
+from jaxrelight.lighting.random_numbers import MOST, even_numbers, shifts
+from jaxrelight.lighting.sampled import Sampled
+from jaxrelight.lights.pyramid import LightPyramid
+
+# Samples of a piece of work; counts are multiples of it.
+RUN = 16
+# Pieces of a batch.
+_BATCH = 8192
+
+# Whether something stands in the way of each ray: places of the pixels and world directions.
+Blocked = Callable[[Int[np.ndarray, " r"], Float[np.ndarray, "r 3"]], Bool[np.ndarray, " r"]]
+
+
+def estimate(
+    part: Sampled,
+    light: LightPyramid,
+    pixels: SurfacePixels,
+    counts: Int[np.ndarray, " p"],
+    seed: int = 0,
+    filtered: bool = True,
+    blocked: Blocked | None = None,
+) -> Float[Array, "p 3"]:
+    """Mean reflected radiance; 0 where the count is. Differentiable in the light and the BRDF.
+
+    Args:
+        part: a component.
+        light: the environment.
+        pixels: any.
+        counts: samples of each, rounded up to multiples of `RUN`, up to `MOST`.
+        seed: of the numbers that samples are drawn with.
+        filtered: look up the mean of what a sample stands for; else the single texel, whose noise is larger.
+        blocked: casts shadows; None for none.
+    """
+    runs = np.minimum(-(-np.asarray(counts) // RUN), MOST // RUN).astype(np.int64)
+    place = np.repeat(np.arange(len(runs), dtype=np.int32), runs)
+    first = ((np.arange(len(place)) - np.repeat(np.cumsum(runs) - runs, runs)) * RUN).astype(np.int32)
+    # Padding belongs to no pixel.
+    end = -(-len(place) // _BATCH) * _BATCH - len(place)
+    place, first = np.pad(place, (0, end), constant_values=len(runs)), np.pad(first, (0, end))
+    number = jnp.asarray((runs * RUN).astype(np.float32))
+    total = jnp.zeros((len(runs), 3), jnp.float32)
+    for start in range(0, len(place), _BATCH):
+        mine = place[start : start + _BATCH], first[start : start + _BATCH]
+        if blocked is None:
+            total = _added(total, part, light, pixels, number, *mine, seed, filtered)
+        else:
+            given, towards = _drawn(part, light, pixels, number, *mine, seed, filtered)
+            total = _summed(total, given, _visible(blocked, mine[0], towards), mine[0])
+    return total / jnp.maximum(number, 1)[:, None]
+
+
+def _visible(blocked: Blocked, place, towards):
+    def host(place, towards):
+        place, towards = np.asarray(place), np.asarray(towards)
+        flat, many = towards.reshape(-1, 3), np.repeat(place, RUN)
+        real = np.flatnonzero(np.any(flat != 0, axis=1))
+        found = np.zeros(len(flat), np.float32)
+        found[real] = ~blocked(many[real], flat[real])
+        return found.reshape(towards.shape[:2])
+
+    shape = jax.ShapeDtypeStruct(towards.shape[:2], np.float32)
+    return jax.pure_callback(host, shape, place, jax.lax.stop_gradient(towards), vmap_method="sequential")
+
+
+def _pieces(part, light, pixels, number, place, first, seed, filtered):
+    """What each sample gives, and the world direction it comes from, 0 where it gives nothing: [RUN, 3] of a piece."""
+
+    def piece(given):
+        place, first = given
+        at = jnp.minimum(place, len(pixels.pixel) - 1)
+        frame, omega_o, uv, footprint, pixel, count = (
+            x.at[at].get(mode="promise_in_bounds")
+            for x in (pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, pixels.pixel, number)
+        )
+        point, shift = part.towards(omega_o, uv, footprint), shifts(pixel, seed)
+
+        def sample(index):
+            drawn = point.draw(even_numbers(index, shift))
+            # Written out: products of small matrices are slow.
+            omega = jnp.sum(drawn.omega_i[:, None] * frame, axis=0)
+            covered = drawn.solid_angle / jnp.maximum(count, 1) if filtered else None
+            given = drawn.weight * light.radiance_at(omega, covered)
+            real = (place < len(pixels.pixel)) & jnp.any(drawn.weight > 0)
+            return given, jnp.where(real, omega, 0)
+
+        return jax.vmap(sample)(first + jnp.arange(RUN))
+
+    return jax.vmap(jax.checkpoint(piece))((place, first))
+
+
+@functools.partial(jax.jit, static_argnames="filtered")
+def _drawn(part, light, pixels, number, place, first, seed, filtered):
+    return _pieces(part, light, pixels, number, place, first, seed, filtered)
+
+
+@jax.jit
+def _summed(total, given, visible, place):
+    return total.at[place].add(jnp.sum(given * visible[..., None], axis=1), mode="drop")
+
+
+@functools.partial(jax.jit, static_argnames="filtered")
+def _added(total, part, light, pixels, number, place, first, seed, filtered):
+    given, _ = _pieces(part, light, pixels, number, place, first, seed, filtered)
+    return total.at[place].add(jnp.sum(given, axis=1), mode="drop")

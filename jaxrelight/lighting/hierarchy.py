@@ -1,0 +1,240 @@
+"""Which pixels are shaded, and how the others lie between them: coarse to fine on nested lattices (Bagher 2011 §3).
+
+Level L has the pixels whose coordinates are multiples of 2^L, so a shaded pixel of a level is one of all finer levels,
+too, and none is shaded twice. From level to level there are three kinds of new pixels: between pixels of a row, of a
+column, and of both. What the paper asks of bandwidth and distance in the image, whether pixels are further apart than
+half a cycle, is asked here of what the light depends on: the direction in which a pixel mirrors the eye, times
+bandwidth, and the place, for shadows. So normal maps, creases and silhouettes need no detection of their own: across
+them is far.
+
+Nothing that is shaded is needed to know where to shade. All levels are one list of work.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+LEVELS = 5
+# Cycles at which a parent counts e times less.
+_REACH = 0.15
+# Further away in the image, e times less at this many squared steps; and mirrors that differ by more are none at all.
+_IMAGE, _MOST_TURNED = 0.075, 0.5
+# Of weights' squares: what is further outside its parents than this would make their noise larger.
+_MOST_NOISE = 1.2
+# Parents of a new pixel between two of a row, as (down, right) in steps of the finer lattice; and between four. New
+# pixels of a kind lie so many of those steps down and right of the coarser lattice's.
+_ROW = ((0, -1), (0, 1), (-2, -1), (-2, 1), (2, -1), (2, 1), (0, -3), (0, 3))
+_FOUR = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 3), (1, 3), (-1, -3), (1, -3), (3, -1), (3, 1), (-3, -1), (-3, 1))
+_KINDS = (((0, 1), _ROW), ((1, 0), tuple((x, y) for y, x in _ROW)), ((1, 1), _FOUR))
+
+
+class Features(NamedTuple):
+    """What the radiance of pixels depends on.
+
+    Attributes:
+        kind: pixels are interpolated among those of the same one; negative for what is not shaded at all.
+        mirror: unit world direction in which the eye is mirrored.
+        angular: bandwidth by that, in cycles per radian.
+        position: in the world.
+        spatial: bandwidth by that, in cycles per metre.
+        contrast: the error, as it is seen, of being wrong by all there is.
+    """
+
+    kind: Int[Array, "h w"]
+    mirror: Float[Array, "h w 3"]
+    angular: Float[Array, "h w"]
+    position: Float[Array, "h w 3"]
+    spatial: Float[Array, "h w"]
+    contrast: Float[Array, "h w"]
+
+
+class Hierarchy(eqx.Module):
+    """Where to shade, and how the others follow.
+
+    Attributes:
+        asked: pixels that show anything.
+        error: that each of them is predicted to have where it is not shaded; infinite where it must be.
+        weights: of the parents of each kind of new pixels, from the coarsest level on.
+        tolerance: all of a larger error are shaded.
+    """
+
+    asked: Bool[Array, "h w"]
+    error: Float[Array, "h w"]
+    weights: tuple[Float[Array, "k y x"], ...]
+    tolerance: Float[Array, ""]
+
+    @property
+    def shaded(self) -> Bool[Array, "h w"]:
+        """Which pixels are."""
+        return self.asked & (self.error > self.tolerance)
+
+    @property
+    def left(self) -> Float[Array, "h w"]:
+        """The error of those that are not."""
+        return jnp.where(self.asked & ~self.shaded, self.error, 0)
+
+    def within(self, tolerance) -> "Hierarchy":
+        """The same with another tolerance."""
+        return Hierarchy(self.asked, self.error, self.weights, jnp.asarray(tolerance, self.error.dtype))
+
+    def filled(self, image: Float[Array, "h w c"]) -> Float[Array, "h w c"]:
+        """The image with what lies between shaded pixels; linear in them, and differentiable."""
+        return _filled(self.shaded, self.weights, image)
+
+    def influence(self) -> Float[Array, "h w"]:
+        """The factor on each shaded pixel's variance in the sum of all pixels'."""
+        return _influence(self.shaded, self.weights, self.asked.astype(self.error.dtype))
+
+    def levels(self) -> Int[np.ndarray, "h w"]:
+        """The level whose pixels are each one's parents, and 0 of shaded pixels."""
+        found = np.zeros(self.shaded.shape, np.int32)
+        for level in range(LEVELS, 0, -1):
+            found[:: 2**level, :: 2**level] = np.minimum(found[:: 2**level, :: 2**level], level)
+            step = 2 ** (level - 1)
+            for down, right in ((0, 1), (1, 0), (1, 1)):
+                found[down * step :: 2 * step, right * step :: 2 * step] = level
+        return np.where(np.asarray(self.shaded), 0, found)
+
+
+@jax.jit
+def hierarchy(features: Features) -> Hierarchy:
+    """The coarsest lattice must be shaded, and what has no parents like it; all others have an error.
+
+    Weights are those of a linear function through the parents, by least squares, nearer ones counted more. With q the
+    way to a parent in cycles, what is left over of Σ w q counts as its share of a wave's steepest slope, and Σ |w| q²
+    as that of its strongest bend.
+
+    Args:
+        features: of all pixels.
+    """
+    h, w = features.kind.shape
+    aside = jnp.where(jnp.abs(features.mirror[..., 1:2]) < 0.9, jnp.asarray([0.0, 1, 0]), jnp.asarray([1.0, 0, 0]))
+    right = jnp.cross(features.mirror, aside)
+    right = right / jnp.maximum(jnp.linalg.norm(right, axis=-1, keepdims=True), 1e-9)
+    # Planes: sums over axes of three are slow.
+    mirror, position, across, down = (
+        [_whole(x[..., k]) for k in range(3)]
+        for x in (features.mirror, features.position, right, jnp.cross(features.mirror, right))
+    )
+    kind, angular, spatial, contrast = (
+        _whole(x, fill) for x, fill in zip((features.kind, *features[2:3], *features[4:]), (-1, 0, 0, 0), strict=True)
+    )
+    error = jnp.full(_lattice(kind, LEVELS).shape, jnp.inf, contrast.dtype)
+    weights = []
+    for level in range(LEVELS - 1, -1, -1):
+        theirs = [_wider(_lattice(x, level + 1)) for x in (*mirror, *position)]
+        their_kind = _wider(_lattice(kind, level + 1), -1)
+        errors = [error]
+        for offset, parents in _KINDS:
+            own = [_lattice(x, level, offset) for x in (*mirror, *position)]
+            axes = [[_lattice(x, level, offset) for x in axis] for axis in (across, down)]
+            own_kind, rate, spatial_rate = (_lattice(x, level, offset) for x in (kind, angular, spatial))
+            near, first, second, apart = [], [], [], []
+            for step in parents:
+                way = [_parent(x, offset, step) - mine for x, mine in zip(theirs, own, strict=True)]
+                turned, moved = way[:3], way[3:]
+                x, y = (_dot(turned, axis) * rate for axis in axes)
+                square = x**2 + y**2 + _dot(moved, moved) * spatial_rate**2
+                usable = (_parent(their_kind, offset, step) == own_kind) & (_dot(turned, turned) < _MOST_TURNED**2)
+                image = _IMAGE * (step[0] ** 2 + step[1] ** 2)
+                near.append(jnp.where(usable, jnp.exp(-square / _REACH**2 - image), 0))
+                first.append(x)
+                second.append(y)
+                apart.append(square)
+            total, found, left = _linear(near, first, second)
+            bend = sum(jnp.abs(w) * square for w, square in zip(found, apart, strict=True))
+            noise = sum(w * w for w in found)
+            wrong = 2 * np.pi * left + 0.25 * (2 * np.pi) ** 2 * bend
+            usable = (total > 1e-3) & (noise < _MOST_NOISE)
+            errors.append(jnp.where(usable, _lattice(contrast, level, offset) * wrong, jnp.inf))
+            weights.append(jnp.stack(found))
+        error = _woven(errors)
+    tolerance = jnp.zeros((), error.dtype)
+    return Hierarchy(features.kind >= 0, error[:h, :w], tuple(weights), tolerance)
+
+
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _linear(near, x, y):
+    """Σ near, weights of the value at the origin of a linear function fitted to parents, and |Σ w (x, y)|."""
+    total = sum(near)
+    some = jnp.where(total > 1e-3, total, 1)
+    mean_x, mean_y = (sum(g * q for g, q in zip(near, axis, strict=True)) / some for axis in (x, y))
+    xx, xy, yy = (
+        sum(g * (p - m) * (q - n) for g, p, q in zip(near, one, other, strict=True)) / some
+        for one, m, other, n in ((x, mean_x, x, mean_x), (x, mean_x, y, mean_y), (y, mean_y, y, mean_y))
+    )
+    # Parents along a line tell nothing across it.
+    ridge = 1e-6 + 0.02 * (xx + yy)
+    xx, yy = xx + ridge, yy + ridge
+    determinant = xx * yy - xy**2
+    slope_x, slope_y = (xy * mean_y - yy * mean_x) / determinant, (xy * mean_x - xx * mean_y) / determinant
+    weights = [
+        g / some * (1 + slope_x * (p - mean_x) + slope_y * (q - mean_y)) for g, p, q in zip(near, x, y, strict=True)
+    ]
+    left = (sum(w * q for w, q in zip(weights, axis, strict=True)) for axis in (x, y))
+    return total, weights, jnp.hypot(*left)
+
+
+def _whole(image, fill=0):
+    """The image, wider, so that all of a level's lattices have as many pixels."""
+    ends = [(0, -n % 2**LEVELS) for n in image.shape[:2]]
+    return jnp.pad(image, ends + [(0, 0)] * (image.ndim - 2), constant_values=fill)
+
+
+def _lattice(image, level: int, kind=None):
+    """A level's pixels, or its new ones of a kind."""
+    step = 1 << level
+    if kind is None:
+        return image[::step, ::step]
+    return image[kind[0] * step :: 2 * step, kind[1] * step :: 2 * step]
+
+
+def _woven(kinds):
+    """The next lattice: the coarser one, and between it the three kinds of new pixels."""
+    coarse, row, column, both = kinds
+    upper, lower = (jnp.stack(pair, axis=2) for pair in ((coarse, row), (column, both)))
+    h, w = coarse.shape[:2]
+    return jnp.stack([upper, lower], axis=1).reshape(2 * h, 2 * w, *coarse.shape[2:])
+
+
+def _wider(coarse, fill=0):
+    """A lattice with what lies around it, as far as parents do."""
+    return jnp.pad(coarse, [(1, 2), (1, 2)] + [(0, 0)] * (coarse.ndim - 2), constant_values=fill)
+
+
+def _parent(wider, kind, step):
+    """Of each new pixel, what a parent has."""
+    y, x = (1 + (kind[axis] + step[axis]) // 2 for axis in (0, 1))
+    return wider[y : y + wider.shape[0] - 3, x : x + wider.shape[1] - 3]
+
+
+@jax.jit
+def _filled(shaded, weights, image):
+    h, w = image.shape[:2]
+    shaded = _whole(shaded)
+    image = _whole(jnp.where(shaded[:h, :w, None], image, 0))
+    found, weights = _lattice(image, LEVELS), iter(weights)
+    for level in range(LEVELS - 1, -1, -1):
+        coarse, new = _wider(found), [found]
+        for kind, parents in _KINDS:
+            own, keep = _lattice(image, level, kind), _lattice(shaded, level, kind)
+            pairs = zip(parents, next(weights), strict=True)
+            between = sum(weight[..., None] * _parent(coarse, kind, step) for step, weight in pairs)
+            new.append(jnp.where(keep[..., None], own, between))
+        found = _woven(new)
+    return found[:h, :w]
+
+
+@jax.jit
+def _influence(shaded, weights, asked):
+    squares = tuple(w * w for w in weights)
+    start = jnp.zeros((*shaded.shape, 1), asked.dtype)
+    _, back = jax.vjp(lambda image: _filled(shaded, squares, image), start)
+    return back(asked[..., None])[0][..., 0]

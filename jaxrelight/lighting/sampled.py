@@ -1,0 +1,89 @@
+"""BRDFs as a sampler asks for them: directions drawn by importance, and how fast they vary with the light."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrelight.brdf.bandwidth import BandwidthTable, bandwidth_table, lobe_bandwidth, with_cosine
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.half_sampling import HalfVectors, half_vectors
+from jaxrelight.brdf.lobe_sampling import LobeSampler
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.spatial import PackedLobes
+
+
+class Sampled(eqx.Module):
+    """A BRDF, or one for every texel, and what draws directions for it.
+
+    Attributes:
+        brdf: sums of lobes draw by their lobes, and need neither of the others.
+        half: the distribution of half vectors.
+        table: of bandwidth.
+    """
+
+    brdf: Brdf | PackedLobes
+    half: HalfVectors | None = None
+    table: BandwidthTable | None = None
+
+    def towards(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Float[Array, ""]) -> "TowardsEye":
+        """What one point reflects to the eye."""
+        brdf = self.brdf.at(uv, footprint) if isinstance(self.brdf, PackedLobes) else self.brdf
+        above = omega_o[2] > 0
+        omega_o = jnp.where(above, omega_o, jnp.asarray([0, 0, 1], omega_o.dtype))
+        if self.half is not None:
+            sampler = self.half.towards(omega_o)
+        else:
+            assert isinstance(brdf, LobeSum)
+            sampler = LobeSampler(brdf, omega_o)
+        return TowardsEye(self, brdf, jax.lax.stop_gradient(sampler), omega_o, above)
+
+
+class Drawn(NamedTuple):
+    """A sample.
+
+    Attributes:
+        omega_i: the direction to the light; the normal where nothing is reflected.
+        weight: f(ω_i, ω_o) cosθ_i / density, differentiable in f; times radiance, an estimate of what is reflected.
+        solid_angle: 1 / density, of which the n-th part is what one of n samples stands for.
+    """
+
+    omega_i: Float[Array, "3"]
+    weight: Float[Array, " c"]
+    solid_angle: Float[Array, ""]
+
+
+class TowardsEye(eqx.Module):
+    """`Sampled` at one point and one direction to the eye."""
+
+    sampled: Sampled
+    brdf: Brdf
+    sampler: eqx.Module
+    omega_o: Float[Array, "3"]
+    above: Float[Array, ""]
+
+    def draw(self, numbers: Float[Array, "3"]) -> Drawn:
+        """The sample of three numbers from 0 to 1. Where it lies, and its density, stand still in derivatives."""
+        omega_i = jax.lax.stop_gradient(self.sampler.at(*numbers))  # pyright: ignore[reportAttributeAccessIssue]
+        density = jax.lax.stop_gradient(self.sampler.pdf(omega_i))  # pyright: ignore[reportAttributeAccessIssue]
+        lit = self.above & (omega_i[2] > 0) & (density > 0)
+        omega_i = jnp.where(lit, omega_i, jnp.asarray([0, 0, 1], omega_i.dtype))
+        density = jnp.where(lit, density, 1)
+        weight = jnp.where(lit, self.brdf.evaluate(omega_i, self.omega_o) * omega_i[2] / density, 0)
+        return Drawn(omega_i, weight, 1 / density)
+
+    def bandwidth(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
+        """With which f · cosθ_i varies, in cycles per radian."""
+        if self.sampled.table is not None:
+            return with_cosine(self.sampled.table.look_up(omega_i, self.omega_o))
+        assert isinstance(self.brdf, LobeSum)
+        return with_cosine(lobe_bandwidth(self.brdf, omega_i, self.omega_o))
+
+
+def sampled(brdf: Brdf | PackedLobes) -> Sampled:
+    """Finds what draws directions for a BRDF; seconds for one that is no sum of lobes."""
+    if isinstance(brdf, LobeSum | PackedLobes):
+        return Sampled(brdf)
+    return Sampled(brdf, half_vectors(brdf), bandwidth_table(brdf))

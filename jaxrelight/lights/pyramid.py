@@ -1,0 +1,124 @@
+"""An environment's means over ever larger cells: what samples look up, and how light varies around them."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight.basis import latlong
+from jaxrelight.basis.local_frequency import around_sphere, local_frequency
+from jaxrelight.lights.environment import Environment
+
+# Rows of the finest level of what predicts: it needs no finer map.
+_ROWS = 512
+
+
+class Cells(eqx.Module):
+    """Means of a lat-long map over cells, each level's as wide as four of the one before, by solid angle.
+
+    Attributes:
+        values: of all levels one after the other, the finest first.
+        rows: of the finest level, a power of two; twice as many columns.
+    """
+
+    values: Float[Array, "c t"]
+    rows: int = eqx.field(static=True)
+
+    def look_up(
+        self, u: Float[Array, ""], v: Float[Array, ""], solid_angle: Float[Array, ""] | None = None
+    ) -> Float[Array, " c"]:
+        """The mean over about a solid angle, between the cells of a level; without one, or a small one, in a texel."""
+        if solid_angle is None:
+            row, column = (v * self.rows).astype(jnp.int32), (u * 2 * self.rows).astype(jnp.int32)
+            place = jnp.clip(row, 0, self.rows - 1) * 2 * self.rows + column % (2 * self.rows)
+            return jnp.stack([one.at[place].get(mode="promise_in_bounds") for one in self.values])
+        area = 2 * np.pi**2 / (2 * self.rows**2) * jnp.maximum(jnp.sin(np.pi * v), 0.5 / self.rows)
+        level = jnp.clip(jnp.round(0.5 * jnp.log2(solid_angle / area)), 0, self.rows.bit_length() - 1)
+        level = level.astype(jnp.int32)
+        # Cells before a level: 2·(rows² + rows²/4 + …).
+        start = ((8 * self.rows**2) - (8 * self.rows**2 >> (2 * level))) // 3
+        rows = self.rows >> level
+        # Environments are constant in their pixels.
+        between = jnp.where(level > 0, 0.5, 0)
+        x, y = u * (2 * rows) - between, v * rows - between
+        left, top = jnp.floor(x), jnp.floor(y)
+        right, down = (jnp.where(level > 0, part, 0) for part in (x - left, y - top))
+        column, row = left.astype(jnp.int32), top.astype(jnp.int32)
+        found = jnp.zeros(len(self.values), self.values.dtype)
+        for i in (0, 1):
+            for j in (0, 1):
+                place = start + jnp.clip(row + i, 0, rows - 1) * (2 * rows) + (column + j) % (2 * rows)
+                cell = jnp.stack([one.at[place].get(mode="promise_in_bounds") for one in self.values])
+                found += (down if i else 1 - down) * (right if j else 1 - right) * cell
+        return found
+
+
+class LightPyramid(eqx.Module):
+    """An environment as samples see it. Differentiable in its radiance.
+
+    Attributes:
+        radiance: three channels.
+        detail: radiance, its square, and radiance times bandwidth in cycles per radian, of the mean of the channels.
+        turn: by which it is turned about +y, as a part of the circle.
+    """
+
+    radiance: Cells
+    detail: Cells
+    turn: Float[Array, ""]
+
+    def radiance_at(self, omega: Float[Array, "3"], solid_angle: Float[Array, ""] | None = None) -> Float[Array, "3"]:
+        """Mean radiance of about a solid angle around a direction; without one, of its texel."""
+        return self.radiance.look_up(*self._place(omega), solid_angle)
+
+    def detail_at(
+        self, omega: Float[Array, "3"], solid_angle: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+        """Mean radiance, mean square and bandwidth of about a solid angle around a direction."""
+        mean, square, varied = self.detail.look_up(*self._place(omega), solid_angle)
+        return mean, square, jnp.where(mean > 0, varied / jnp.where(mean > 0, mean, 1), 0)
+
+    def _place(self, omega):
+        u, v = latlong.finite_coordinates(omega)
+        u = u + self.turn
+        return u - jnp.floor(u), v
+
+
+def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g v"]:
+    """Local angular bandwidth of a lat-long map in cycles per radian (Bagher 2011 §2.4), of a map of 2^n rows.
+
+    A pixel is as wide as it is high in angle, the larger eigenvalue of the map's Jacobian.
+    """
+    rows = _power_of_two(len(pixels))
+    even = latlong.resized(np.asarray(pixels, np.float32), rows, 2 * rows)
+    return local_frequency(around_sphere(even))[:rows] * (rows / np.pi)
+
+
+def light_pyramid(environment: Environment) -> LightPyramid:
+    """Of an environment, turned as it is; its `scale` is left to whoever looks up."""
+    pixels = np.asarray(environment.pixels, np.float32)
+    bandwidth = light_bandwidth(pixels)
+    grey = pixels.mean(axis=2, keepdims=True)
+    finest = latlong.resized(np.concatenate([grey, grey**2], axis=2), len(bandwidth), 2 * len(bandwidth))
+    finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None]], axis=2)
+    rows = min(len(bandwidth), _ROWS)
+    detail = cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
+    return LightPyramid(cells(pixels), detail, jnp.asarray(environment.rotate_y / 360, jnp.float32))
+
+
+def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
+    """All levels of a lat-long map of any size; differentiable where its pixels are JAX's."""
+    rows = _power_of_two(len(pixels))
+    level = latlong.resized(pixels, rows, 2 * rows)
+    levels = [level]
+    while len(level) > 1:
+        level = latlong.resized(level, len(level) // 2, len(level))
+        levels.append(level)
+    channels = pixels.shape[-1]
+    if isinstance(pixels, jax.Array):
+        return Cells(jnp.concatenate([one.reshape(-1, channels) for one in levels]).T, rows)
+    return Cells(jnp.asarray(np.concatenate([one.reshape(-1, channels) for one in levels]).T), rows)
+
+
+def _power_of_two(count: int) -> int:
+    return 1 << max(0, int(np.ceil(np.log2(count))))
