@@ -38,6 +38,13 @@ class Tracer:
         near = np.ascontiguousarray(np.clip(distance, 0, 1e30), np.float32)
         return self._query(origins, directions, "OCCLUDED", dists=near) == 0
 
+    def distances(
+        self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]
+    ) -> Float[np.ndarray, " r"]:
+        """How far along each ray the first hit is, in scene space; infinite for none. Lift origins first."""
+        found = self._query(origins, directions, "DISTANCE")
+        return np.where(found < 1e30, found, np.inf)
+
     def first_hits(
         self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]
     ) -> tuple[Int[np.ndarray, " r"], Float[np.ndarray, "r 3"]]:

@@ -21,10 +21,10 @@ from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.curvature import curvature
-from jaxrelight.lighting.estimate import RUN, estimate
+from jaxrelight.lighting.estimate import RUN, Blocked, estimate
 from jaxrelight.lighting.hierarchy import Features, Hierarchy, hierarchy
 from jaxrelight.lighting.pixels import padded
-from jaxrelight.lighting.prediction import Prediction, predict
+from jaxrelight.lighting.prediction import Prediction, directions, predict
 from jaxrelight.lighting.prefiltered import Seen, SeenMaterial, SurfacePixels
 from jaxrelight.lighting.random_numbers import MOST
 from jaxrelight.lighting.sampled import Sampled, sampled
@@ -64,11 +64,13 @@ class Plan:
         layers: of components.
         interpolation: root-mean-square error of displayed values that is predicted for what lies between.
         noise: that of samples.
+        shadows: whether surfaces hide the environment.
     """
 
     layers: tuple[Layer, ...]
     interpolation: float
     noise: float
+    shadows: bool
 
     @property
     def samples(self) -> int:
@@ -126,18 +128,34 @@ class AdaptiveShader:
             pixels,
             jnp.asarray(padded(bend[np.minimum(pixel, mine.size - 1)], asked)),
             jnp.asarray(padded(distance, asked)),
+            m.start + asked,
         )
 
-    def predicted(self, light: LightPyramid, samples: int = 16) -> tuple[tuple[Prediction, ...], ...]:
+    def predicted(
+        self, light: LightPyramid, samples: int = 16, shadows: bool = False
+    ) -> tuple[tuple[Prediction, ...], ...]:
         """Of each material's components, at a quarter of the pixels.
 
         Args:
             light: the environment.
             samples: n_b.
+            shadows: whether surfaces hide it, which rays tell.
         """
+
+        def of(part, probe) -> Prediction:
+            given = part, light, probe.pixels, probe.curvature, probe.distance, self._pixel_angle, samples
+            if not shadows:
+                return predict(*given)
+            towards = np.asarray(directions(part, probe.pixels, samples))
+            far = np.full(towards.shape[:2], np.inf, np.float32)
+            many = np.repeat(probe.point, samples)
+            far[: len(probe.point)] = self.seen.shadows.distances(
+                many, towards[: len(probe.point)].reshape(-1, 3)
+            ).reshape(-1, samples)
+            return predict(*given, jnp.asarray(far))
+
         return tuple(
-            tuple(predict(part, light, *probe, self._pixel_angle, samples) for part in parts)
-            for probe, parts in zip(self._probes, self.parts, strict=True)
+            tuple(of(part, probe) for part in parts) for probe, parts in zip(self._probes, self.parts, strict=True)
         )
 
     def plan(
@@ -147,6 +165,7 @@ class AdaptiveShader:
         samples: float | None = None,
         tolerance: float | None = None,
         white: float = 1.0,
+        shadows: bool = False,
         predicted: tuple[tuple[Prediction, ...], ...] | None = None,
     ) -> Plan:
         """Where to shade, by a budget or by the error that is allowed.
@@ -156,6 +175,7 @@ class AdaptiveShader:
             samples: a mean over all pixels that show a surface.
             tolerance: root-mean-square error of displayed values, which range from 0 to 1.
             white: the radiance that is displayed as 1.
+            shadows: whether surfaces hide the environment.
             predicted: what `predicted` says, where it is known.
 
         Raises:
@@ -165,7 +185,7 @@ class AdaptiveShader:
             raise InputError("adaptive shading takes either samples, a budget, or tolerance, a quality")
         if not 0 < (samples or tolerance or 0) < np.inf:
             raise InputError("samples and tolerance of adaptive shading must be above 0")
-        predicted = predicted or self.predicted(light)
+        predicted = predicted or self.predicted(light, shadows=shadows)
         asked = [self._asked(k, predicted, white) for k in range(max(map(len, self.parts), default=0))]
         pixels = max(int(self.seen.covered.sum()), 1)
         tried: dict[int, _Candidate] = {}
@@ -196,7 +216,7 @@ class AdaptiveShader:
             each = np.round(wanted * (best.budget / max(best.spread, 1e-30)) / RUN) * RUN
             counts = np.where(np.asarray(layer.between.shaded), np.clip(each, RUN, MOST), 0).astype(np.int32)
             layers.append(Layer(layer.between, counts, one.bandwidth))
-        return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.noise(best.budget))))
+        return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.noise(best.budget))), shadows)
 
     def shade(
         self, plan: Plan, light: LightPyramid, seed: int = 0, parts: Parts | None = None, *, filtered: bool = True
@@ -217,7 +237,7 @@ class AdaptiveShader:
             for number in numbers:
                 m, part = self.seen.materials[number], (parts or self.parts)[number][k]
                 counts = self._of(m, layer.counts)
-                radiance = estimate(part, light, m.pixels, counts, seed, filtered)
+                radiance = estimate(part, light, m.pixels, counts, seed, filtered, self._blocked(m, plan.shadows))
                 image = image.at[m.pixels.pixel].add(radiance, mode="drop")
             image = layer.between.filled(image.reshape(*self.seen.covered.shape, 3)).reshape(-1, 3)
             for number in numbers:
@@ -227,7 +247,7 @@ class AdaptiveShader:
         return self.seen.image(found)
 
     def uniform(
-        self, light: LightPyramid, samples: int, seed: int = 0, *, filtered: bool = False
+        self, light: LightPyramid, samples: int, seed: int = 0, *, filtered: bool = False, shadows: bool = False
     ) -> Float[Array, "h w 3"]:
         """Radiance by the same number of samples in every pixel, for each component."""
         found = []
@@ -235,10 +255,16 @@ class AdaptiveShader:
             counts = np.where(np.asarray(m.pixels.pixel) < self.seen.covered.size, samples, 0)
             radiance = jnp.zeros((len(m.pixels.pixel), 3))
             for part, component in zip(parts, m.components, strict=True):
-                given = estimate(part, light, m.pixels, counts, seed, filtered)
+                given = estimate(part, light, m.pixels, counts, seed, filtered, self._blocked(m, shadows))
                 radiance += given * _weight(component.weight, m.pixels)
             found.append(radiance)
         return self.seen.image(found)
+
+    def _blocked(self, m: SeenMaterial, shadows: bool) -> Blocked | None:
+        """Whether rays from a material's pixels meet anything."""
+        if not shadows:
+            return None
+        return lambda place, towards: self.seen.shadows.hidden(m.start + place, towards)
 
     def _of(self, m: SeenMaterial, image: np.ndarray) -> np.ndarray:
         """What a material's pixels have of an image; 0 for padding."""
@@ -254,16 +280,14 @@ class AdaptiveShader:
             total = sum(w * one.radiance for w, one in zip(weights, parts, strict=True))
             visible = weights[k] * display_slope(jnp.asarray(total) / white) / white
             one = parts[k]
-            rows = one.angular, visible * one.radiance, visible * jnp.sqrt(one.variance), one.image
+            rows = one.angular, one.spatial, visible * one.contrast, visible * jnp.sqrt(one.variance), one.image
             found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))
         image = _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
-        angular, contrast, deviation, bandwidth = jnp.moveaxis(_most(image), -1, 0)
+        angular, spatial, contrast, deviation, bandwidth = jnp.moveaxis(_most(image), -1, 0)
         kind = np.where(
             np.isin(self._material, [i for i, of in enumerate(self.parts) if k < len(of)]), self._material, -1
         )
-        features = Features(
-            jnp.asarray(kind), self._mirrored, angular, self._position, jnp.zeros_like(angular), contrast
-        )
+        features = Features(jnp.asarray(kind), self._mirrored, angular, self._position, spatial, contrast)
         return _Asked(hierarchy(features), deviation, bandwidth)
 
     @functools.cached_property
@@ -281,11 +305,12 @@ class AdaptiveShader:
 
 
 class _Probe(NamedTuple):
-    """Pixels at which is predicted, and what that takes."""
+    """Pixels at which is predicted, what that takes, and the points from which they see light, without padding."""
 
     pixels: SurfacePixels
     curvature: Float[Array, " p"]
     distance: Float[Array, " p"]
+    point: Int[np.ndarray, " r"]
 
 
 class _Asked(NamedTuple):

@@ -127,30 +127,38 @@ def hierarchy(features: Features) -> Hierarchy:
     weights = []
     for level in range(LEVELS - 1, -1, -1):
         theirs = [_wider(_lattice(x, level + 1)) for x in (*mirror, *position)]
-        their_kind = _wider(_lattice(kind, level + 1), -1)
+        their_kind, their_rate, their_contrast = (
+            _wider(_lattice(x, level + 1), fill) for x, fill in ((kind, -1), (spatial, 0), (contrast, 0))
+        )
         errors = [error]
         for offset, parents in _KINDS:
             own = [_lattice(x, level, offset) for x in (*mirror, *position)]
             axes = [[_lattice(x, level, offset) for x in axis] for axis in (across, down)]
-            own_kind, rate, spatial_rate = (_lattice(x, level, offset) for x in (kind, angular, spatial))
-            near, first, second, apart = [], [], [], []
+            own_kind, rate, own_spatial = (_lattice(x, level, offset) for x in (kind, angular, spatial))
+            near, first, second, apart, seen = [], [], [], [], []
             for step in parents:
                 way = [_parent(x, offset, step) - mine for x, mine in zip(theirs, own, strict=True)]
                 turned, moved = way[:3], way[3:]
                 x, y = (_dot(turned, axis) * rate for axis in axes)
-                square = x**2 + y**2 + _dot(moved, moved) * spatial_rate**2
+                # Where all is hidden no edge is found; the one between is told by the parent.
+                square = (
+                    x**2 + y**2 + _dot(moved, moved) * jnp.maximum(own_spatial, _parent(their_rate, offset, step)) ** 2
+                )
                 usable = (_parent(their_kind, offset, step) == own_kind) & (_dot(turned, turned) < _MOST_TURNED**2)
                 image = _IMAGE * (step[0] ** 2 + step[1] ** 2)
                 near.append(jnp.where(usable, jnp.exp(-square / _REACH**2 - image), 0))
                 first.append(x)
                 second.append(y)
                 apart.append(square)
+                seen.append(_parent(their_contrast, offset, step))
             total, found, left = _linear(near, first, second)
             bend = sum(jnp.abs(w) * square for w, square in zip(found, apart, strict=True))
             noise = sum(w * w for w in found)
             wrong = 2 * np.pi * left + 0.25 * (2 * np.pi) ** 2 * bend
             usable = (total > 1e-3) & (noise < _MOST_NOISE)
-            errors.append(jnp.where(usable, _lattice(contrast, level, offset) * wrong, jnp.inf))
+            brought = sum(jnp.abs(w) * one for w, one in zip(found, seen, strict=True))
+            most = jnp.maximum(_lattice(contrast, level, offset), brought)
+            errors.append(jnp.where(usable, most * wrong, jnp.inf))
             weights.append(jnp.stack(found))
         error = _woven(errors)
     tolerance = jnp.zeros((), error.dtype)

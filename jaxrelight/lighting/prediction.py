@@ -20,6 +20,8 @@ from jaxrelight.lights.pyramid import LightPyramid
 
 # Pixels at a time: what is made for them fits a processor's cache.
 _TOGETHER = 1024
+# Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
+_LEAST_DISTANCE = 1e-3
 
 
 class Prediction(NamedTuple):
@@ -28,7 +30,9 @@ class Prediction(NamedTuple):
     Attributes:
         radiance: the mean of the channels.
         variance: of one sample's estimate of it.
+        contrast: radiance, and what edges of shadows may take from it or add.
         angular: bandwidth of the reflected light by the direction in which the eye is mirrored, in cycles per radian.
+        spatial: bandwidth by place, in cycles per metre: of shadows.
         image: bandwidth in the image, in cycles per pixel (eq. 5, joined by the average of eq. 4).
         largest: the same, joined by the maximum of figure 6.
         variance_of_bandwidth: what eq. 8 has for the variance.
@@ -36,10 +40,29 @@ class Prediction(NamedTuple):
 
     radiance: Float[Array, " p"]
     variance: Float[Array, " p"]
+    contrast: Float[Array, " p"]
     angular: Float[Array, " p"]
+    spatial: Float[Array, " p"]
     image: Float[Array, " p"]
     largest: Float[Array, " p"]
     variance_of_bandwidth: Float[Array, " p"]
+
+
+# The same numbers for all pixels, so that neighbours differ by what they are alone.
+_SHIFT = np.full(3, 1 << 31, np.uint32)
+
+
+@eqx.filter_jit
+def directions(part: Sampled, pixels: SurfacePixels, samples: int = 16) -> Float[Array, "p n 3"]:
+    """World directions of the samples that predict; where nothing is reflected, the normal."""
+    numbers = even_numbers(jnp.arange(samples), jnp.asarray(_SHIFT))
+
+    def one(given):
+        frame, omega_o, uv, footprint = given
+        point = part.towards(omega_o, uv, footprint)
+        return jax.vmap(lambda number: _world(point.draw(number).omega_i, frame))(numbers)
+
+    return jax.lax.map(one, (pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint), batch_size=_TOGETHER)
 
 
 @eqx.filter_jit
@@ -51,6 +74,7 @@ def predict(
     distance: Float[Array, " p"],
     pixel_angle: Float[Array, ""],
     samples: int = 16,
+    hidden: Float[Array, "p n"] | None = None,
 ) -> Prediction:
     """Predicts pixels of one component without its weight.
 
@@ -62,45 +86,62 @@ def predict(
         distance: to the eye, in metres.
         pixel_angle: that a pixel covers along a side, in radians.
         samples: n_b.
+        hidden: how far away what hides each of the `directions` is, infinite for nothing; None without shadows.
     """
-    # The same numbers for all, so that neighbours differ by what they are alone.
-    numbers = even_numbers(jnp.arange(samples), jnp.full(3, np.uint32(1 << 31)))
+    numbers = even_numbers(jnp.arange(samples), jnp.asarray(_SHIFT))
+    # Of the light, what is expected of the next sample when all so far were hidden.
+    unseen = 1 / (samples + 2)
 
     def one(given):
-        frame, omega_o, uv, footprint, curvature, distance = given
+        frame, omega_o, uv, footprint, curvature, distance, *hidden = given
         point = part.towards(omega_o, uv, footprint)
 
-        def sample(number):
+        def sample(number, *hidden):
             drawn = point.draw(number)
-            omega = jnp.sum(drawn.omega_i[:, None] * frame, axis=0)
             own = point.bandwidth(drawn.omega_i)
-            mean, square, varied = light.detail_at(omega, drawn.solid_angle / samples)
+            mean, square, varied = light.detail_at(_world(drawn.omega_i, frame), drawn.solid_angle / samples)
             weight = jnp.mean(drawn.weight)
             arriving = Bandwidth(jnp.zeros_like(varied), varied)
             leaving = reflected(arriving, drawn.omega_i[2], point.omega_o[2], curvature, own, jnp.zeros_like(own))
             # Seen from afar, what varies along the surface varies with the angle between pixels.
             seen = travelled(leaving, distance).a * pixel_angle
-            given = weight * mean
-            return (
-                given,
-                weight**2 * square,
-                given * jnp.minimum(own, varied),
-                given * seen,
-                jnp.where(given > 0, seen, 0),
-                given**2 * (own + varied),
-            )
+            whole, far = weight * mean, hidden[0] if hidden else jnp.full_like(mean, jnp.inf)
+            given = jnp.where(jnp.isinf(far), whole, 0)
+            return {
+                "whole": whole,
+                "given": given,
+                "square": jnp.where(jnp.isinf(far), 1, unseen) * weight**2 * square,
+                "angular": given * jnp.minimum(own, varied),
+                "edge": whole * own,
+                "spatial": jnp.where(jnp.isinf(far), 0, whole * own / jnp.maximum(far, _LEAST_DISTANCE * distance)),
+                "image": given * seen,
+                "largest": jnp.where(given > 0, seen, 0),
+                "varied": given**2 * (own + varied),
+            }
 
-        given, square, angular, image, largest, varied = jax.vmap(sample)(numbers)
-        radiance = jnp.mean(given)
-        some = jnp.where(radiance > 0, radiance, 1)
+        every = jax.vmap(sample)(numbers, *hidden)
+        found = {name: jnp.mean(values) for name, values in every.items()}
+        radiance, whole = found["given"], found["whole"]
+        some, all_of_it = (jnp.where(x > 0, x, 1) for x in (radiance, whole))
+        # 1 where half of the light is hidden; the finest thing that hides is as far from all as from none.
+        share = jnp.minimum(1 - radiance / all_of_it, 1 - unseen)
+        edge = jnp.where(whole > 0, 4 * share * (1 - share), 0)
+        taken = jnp.where(share > 0, share * all_of_it, 1)
         return Prediction(
             radiance,
-            jnp.maximum(jnp.mean(square) - radiance**2, 0),
-            jnp.mean(angular) / some,
-            jnp.mean(image) / some,
-            jnp.max(largest),
-            jnp.mean(varied),
+            jnp.maximum(found["square"] - radiance**2, 0),
+            radiance + edge * whole,
+            found["angular"] / some + edge * found["edge"] / all_of_it,
+            edge * found["spatial"] / taken,
+            found["image"] / some,
+            jnp.max(every["largest"]),
+            found["varied"],
         )
 
     rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, curvature, distance
-    return jax.lax.map(one, rows, batch_size=_TOGETHER)
+    return jax.lax.map(one, rows if hidden is None else (*rows, hidden), batch_size=_TOGETHER)
+
+
+def _world(omega, frame):
+    # Written out: products of small matrices are slow.
+    return jnp.sum(omega[:, None] * frame, axis=0)

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lights.local import Incident, Punctual
@@ -66,6 +66,14 @@ class Shadows:
         given = jax.lax.stop_gradient((incident.omega_i, incident.distance))
         return incident, jax.pure_callback(self._traced, shape, *given, lit, vmap_method="sequential")
 
+    def hidden(self, point: Int[np.ndarray, " r"], towards: Float[np.ndarray, "r 3"]) -> Bool[np.ndarray, " r"]:
+        """Whether something stands in the way of distant light: of rays from points, by number."""
+        return self._on_all_threads(self._tracer.occluded, point, towards)
+
+    def distances(self, point: Int[np.ndarray, " r"], towards: Float[np.ndarray, "r 3"]) -> Float[np.ndarray, " r"]:
+        """How far in the world the first thing in the way is, infinite for none."""
+        return self.radius * self._on_all_threads(self._tracer.distances, point, towards)
+
     def _traced(self, omega_i, distance, lit) -> Float[np.ndarray, " p"]:
         count = len(self.origins)
         asked = np.flatnonzero(np.asarray(lit)[:count])
@@ -87,13 +95,14 @@ class Shadows:
         return found
 
     def _blocked(self, asked, towards, near):
-        parts = np.array_split(np.arange(len(asked)), min(os.cpu_count() or 1, 1 + len(asked) // _EACH))
+        return self._on_all_threads(self._tracer.blocked, asked, towards, near)
+
+    def _on_all_threads(self, query, point, *given):
+        parts = np.array_split(np.arange(len(point)), min(os.cpu_count() or 1, 1 + len(point) // _EACH))
         if len(parts) == 1:
-            return self._tracer.blocked(self.origins[asked], towards, near)
+            return query(self.origins[point], *given)
         with concurrent.futures.ThreadPoolExecutor(len(parts)) as pool:
-            found = pool.map(
-                lambda mine: self._tracer.blocked(self.origins[asked[mine]], towards[mine], near[mine]), parts
-            )
+            found = pool.map(lambda mine: query(self.origins[point[mine]], *(x[mine] for x in given)), parts)
             return np.concatenate(list(found))
 
 
