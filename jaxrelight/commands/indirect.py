@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 LEAVES_OUT = "caustics, and what glossy surfaces show of each other: only diffusely reflected light is passed on"
 # What a sky is sampled by, for shadows and for the cloud alike.
 SKY_SAMPLES = 256
+# Along each side of a pixel.
+_SAMPLES = 2
 
 
 def check_indirect(lights, environment, emits: bool, output: pathlib.Path, dials: LocalOptions):
@@ -24,7 +26,7 @@ def check_indirect(lights, environment, emits: bool, output: pathlib.Path, dials
     """
     from jaxrelight.errors import InputError
 
-    if not 1 <= dials.samples <= 16:
+    if dials.samples is not None and not 1 <= dials.samples <= 16:
         raise InputError(f"--samples is {dials.samples}; it must be from 1 to 16")
     if dials.layers and output.suffix.lower() != ".exr":
         raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
@@ -53,7 +55,7 @@ def indirect_picture(
     sky = environment if transport.settings.sky else None
     every = [*lights, *([sky_of(environment, SKY_SAMPLES)] if environment and not sky else [])]
     with timed(seconds, "view"):
-        relighter = IndirectRelighter(transport, dials.samples)
+        relighter = IndirectRelighter(transport, dials.samples or _SAMPLES)
         jax.block_until_ready(relighter.view)
     behind = environment if picture.background == "environment" else None
     with timed(seconds, "light_first"):

@@ -32,9 +32,10 @@ class PrecomputeOptions:
     always shared."""
     factor_resolution: int = 48
     """Side of the maps of a glossy material's factors."""
-    tolerance: float = 0.02
-    """What shared rows may leave out, relative to a group's radiance under natural light; and how much light further
-    bounces may add before they are left out."""
+    tolerance: float | None = None
+    """What shared rows may leave out, relative to a group's radiance under natural light, and how much light further
+    bounces may add before they are left out, by default 0.02. Under adaptive lighting, the root-mean-square error of
+    displayed values, which range from 0 to 1; by default 0.01."""
     bits: Literal[8, 16, 32] = 32
     """Of every number of compressed transport: 8 take a third of the bytes, and add less than what is left out."""
     bounces: int | None = None
@@ -57,7 +58,7 @@ class PrecomputeOptions:
             self.terms,
             self.coefficients,
             self.factor_resolution,
-            self.tolerance,
+            Settings.tolerance if self.tolerance is None else self.tolerance,
             self.bits,
             self.bounces or 0,
             self.gather_resolution,
@@ -87,7 +88,7 @@ class CloudOptions:
     """A quarter of the points are directions of the sky: another environment then costs what moving a lamp does, and
     its shadows are as coarse as those points; without, it is many distant lights, which all cast sharp ones."""
     seed: int = 0
-    """Of where the points lie, and of photons."""
+    """Of where the points lie, of photons, and of samples under adaptive lighting."""
 
     def settings(self, dials: PrecomputeOptions) -> "Settings":
         """As the library takes them, with those dials that rows from points have, too.
@@ -100,7 +101,8 @@ class CloudOptions:
         named = "coefficients", "tolerance", "bits", "bounces"
         refuse_others(dials, PrecomputeOptions(), "transport", named)
         bounces = 3 if dials.bounces is None else dials.bounces
-        kept = {"coefficients": dials.coefficients, "tolerance": dials.tolerance, "bits": dials.bits}
+        tolerance = Settings.tolerance if dials.tolerance is None else dials.tolerance
+        kept = {"coefficients": dials.coefficients, "tolerance": tolerance, "bits": dials.bits}
         return Settings("pixels", bounces=bounces, **kept, **vars(self))
 
 
@@ -108,8 +110,9 @@ class CloudOptions:
 class LocalOptions:
     """The picture under local lights."""
 
-    samples: int = 2
-    """Samples of direct light along each side of a pixel."""
+    samples: int | None = None
+    """Samples of direct light along each side of a pixel, by default 2. Under adaptive lighting, samples of a pixel, on
+    average: a budget in place of --tolerance."""
     layers: bool = False
     """Write direct light, indirect light by its last reflection and each light as layers of the .exr."""
 

@@ -36,13 +36,16 @@ class Render:
     """'pixels' are exact for this camera; 'vertices' can be viewed from anywhere afterwards."""
     store: pathlib.Path | None = None
     """The store's folder; by default one in the user's cache folder."""
-    lighting: Literal["auto", "transport", "indirect", "prefiltered"] = "auto"
+    lighting: Literal["auto", "transport", "indirect", "prefiltered", "adaptive"] = "auto"
     """How light becomes radiance. 'transport' is precomputed, with shadows, for distant light. 'indirect' is
     precomputed for this camera and lights anywhere, whose light surfaces pass on. 'prefiltered' is quick, knows lights
-    anywhere too, and its environment casts no shadows; materials must be sums of lobes. 'auto' is indirect for a scene
-    with local lights alone, and else transport."""
+    anywhere too, and its environment casts no shadows; materials must be sums of lobes. 'adaptive' samples the
+    environment, with shadows and any material, where and as often as a picture of a given quality needs. 'auto' is
+    indirect for a scene with local lights alone, and else transport."""
     shadows: bool = True
-    """Let local lights cast shadows."""
+    """Let local lights cast shadows; under adaptive lighting, the environment, too."""
+    maps: pathlib.Path | None = None
+    """A folder for pictures of what adaptive lighting planned: bandwidth, levels, samples and predicted error."""
     texels: Literal["parameters", "reflectance"] = "parameters"
     """What is interpolated between texels of an SBRDF under prefiltered lighting: 'reflectance' is right between unlike
     texels, and slower."""
@@ -75,6 +78,7 @@ class Render:
         if lighting == "auto":
             lighting = "indirect" if scene.lights and not asked else "transport"
         how = {"transport": self._transport, "indirect": self._indirect, "prefiltered": self._prefiltered}
+        how["adaptive"] = self._adaptive
         summary = how[lighting](scene, seconds)
         seconds |= summary.pop("seconds", {})
         seconds["total"] = time.perf_counter() - start
@@ -114,21 +118,55 @@ class Render:
     def _prefiltered(self, scene: "Scene", seconds: dict) -> dict:
         from jaxrelight.commands.prefiltered import prefiltered_picture
         from jaxrelight.commands.progress import notes
-        from jaxrelight.errors import InputError
 
         self._refuse(cloud=True)
-        for name, (given, default) in {"store": (self.store, None), "receivers": (self.receivers, "pixels")}.items():
-            if given != default:
-                raise InputError(f"--{name} is a dial of --lighting transport; leave it out")
+        self._refuse_store()
         refuse_others(self.dials, PrecomputeOptions(), "transport")
         notes(dict.fromkeys(scene.notes))
         dials = {"shadows": self.shadows, "texels": self.texels, "minification": self.minification}
         return prefiltered_picture(scene, self.light, self.output, self.picture, **dials, seconds=seconds)
 
+    def _adaptive(self, scene: "Scene", seconds: dict) -> dict:
+        from jaxrelight.commands.adaptive import adaptive_picture
+        from jaxrelight.commands.progress import progress
+        from jaxrelight.errors import InputError
+
+        self._refuse_store()
+        refuse_others(self.dials, PrecomputeOptions(), "transport", ("tolerance",))
+        refuse_others(self.cloud, CloudOptions(), "indirect", ("seed",))
+        refuse_others(self.local, LocalOptions(), "indirect", ("samples",))
+        if self.texels != "parameters":
+            raise InputError("--texels is a dial of --lighting prefiltered; leave it out")
+        with progress(self.json) as report:
+            return adaptive_picture(
+                scene,
+                self.light,
+                self.output,
+                self.picture,
+                samples=self.local.samples,
+                tolerance=self.dials.tolerance,
+                maps=self.maps,
+                shadows=self.shadows,
+                minification=self.minification,
+                seed=self.cloud.seed,
+                seconds=seconds,
+                report=report,
+            )
+
+    def _refuse_store(self):
+        """Refuses what only a store has."""
+        from jaxrelight.errors import InputError
+
+        for name, (given, default) in {"store": (self.store, None), "receivers": (self.receivers, "pixels")}.items():
+            if given != default:
+                raise InputError(f"--{name} is a dial of --lighting transport; leave it out")
+
     def _refuse(self, *, prefiltered: bool = False, cloud: bool = False):
         """Refuses dials of other kinds of lighting."""
         from jaxrelight.errors import InputError
 
+        if self.maps is not None:
+            raise InputError("--maps is a dial of --lighting adaptive; leave it out")
         if cloud:
             refuse_others(self.cloud, CloudOptions(), "indirect")
             refuse_others(self.local, LocalOptions(), "indirect")

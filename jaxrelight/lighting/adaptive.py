@@ -7,7 +7,7 @@ multiplied by its textures in every pixel, so textures never ask for shading.
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -37,6 +37,7 @@ _OF_PREDICTED = 0.15
 # Error² of n filtered samples is this · variance / n^_DECAY.
 _NOISE, _DECAY = 0.4, 1.3
 
+Report = Callable[[str, int, int], None]
 # Components' BRDFs of each material.
 Parts = Sequence[Sequence[Sampled]]
 
@@ -49,11 +50,19 @@ class Layer:
         between: where to shade, and what lies between.
         counts: samples of each pixel.
         bandwidth: that is predicted in the image, in cycles per pixel.
+        deviation: of one sample, in displayed values.
     """
 
     between: Hierarchy
     counts: Int[np.ndarray, "h w"]
     bandwidth: Float[Array, "h w"]
+    deviation: Float[Array, "h w"]
+
+    @property
+    def error(self) -> Float[Array, "h w"]:
+        """That is predicted of each pixel, in displayed values."""
+        noise = _NOISE * self.deviation**2 * jnp.maximum(self.counts, 1) ** -_DECAY
+        return jnp.sqrt(self.between.spread(noise) + (_OF_PREDICTED * self.between.left) ** 2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,24 +91,43 @@ class Plan:
         """How many pixels are, each component counted."""
         return sum(int(np.count_nonzero(layer.counts)) for layer in self.layers)
 
+    def maps(self) -> dict[str, Float[np.ndarray, "h w"]]:
+        """Pictures of the plan, of all layers together.
+
+        Bandwidth in cycles per pixel; the level of each pixel's parents, 0 where it is shaded; samples; and the error
+        that is predicted, in displayed values.
+        """
+        layers = self.layers
+        return {
+            "bandwidth": np.max([layer.bandwidth for layer in layers], axis=0),
+            "level": np.min([layer.between.levels() for layer in layers], axis=0).astype(float),
+            "samples": np.sum([layer.counts for layer in layers], axis=0).astype(float),
+            "error": np.sqrt(np.sum([np.asarray(layer.error, float) ** 2 for layer in layers], axis=0)),
+        }
+
 
 class AdaptiveShader:
     """A camera's view, ready to be lit by environments."""
 
-    def __init__(self, seen: Seen, camera: Camera, parts: Parts | None = None):
+    def __init__(self, seen: Seen, camera: Camera, parts: Parts | None = None, report: Report | None = None):
         """Finds what draws directions for every BRDF, where it is not given; seconds for one that is no sum of lobes.
 
         Args:
             seen: what the camera sees.
             camera: that one.
             parts: of another frame of the same materials.
+            report: hears of progress.
         """
         self.seen = seen
-        made: dict[int, Sampled] = {}
-        self.parts = parts or tuple(
-            tuple(made.setdefault(id(one.brdf), sampled(one.brdf)) for one in material.components)
-            for material in seen.materials
-        )
+        if parts is None:
+            brdfs = {id(one.brdf): one.brdf for material in seen.materials for one in material.components}
+            made: dict[int, Sampled] = {}
+            for done, (key, brdf) in enumerate(brdfs.items()):
+                if report:
+                    report("materials", done, len(brdfs))
+                made[key] = sampled(brdf)
+            parts = tuple(tuple(made[id(one.brdf)] for one in material.components) for material in seen.materials)
+        self.parts = parts
         self._pixel_angle = jnp.float32(np.sqrt(camera.solid_angles().max()))
         self._material = np.full(seen.covered.size + 1, -1, np.int32)
         for number, m in enumerate(seen.materials):
@@ -215,11 +243,18 @@ class AdaptiveShader:
             wanted = np.asarray(layer.wanted)
             each = np.round(wanted * (best.budget / max(best.spread, 1e-30)) / RUN) * RUN
             counts = np.where(np.asarray(layer.between.shaded), np.clip(each, RUN, MOST), 0).astype(np.int32)
-            layers.append(Layer(layer.between, counts, one.bandwidth))
+            layers.append(Layer(layer.between, counts, one.bandwidth, one.deviation))
         return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.noise(best.budget))), shadows)
 
     def shade(
-        self, plan: Plan, light: LightPyramid, seed: int = 0, parts: Parts | None = None, *, filtered: bool = True
+        self,
+        plan: Plan,
+        light: LightPyramid,
+        seed: int = 0,
+        parts: Parts | None = None,
+        *,
+        filtered: bool = True,
+        report: Report | None = None,
     ) -> Float[Array, "h w 3"]:
         """Radiance; differentiable in the light and in `parts`, whose samples stand still.
 
@@ -229,7 +264,9 @@ class AdaptiveShader:
             seed: of samples.
             parts: BRDFs in the place of the shader's own.
             filtered: see `estimate`.
+            report: hears of progress, in samples.
         """
+        heard = _Sum(report, plan.samples) if report else None
         found = [jnp.zeros((len(m.pixels.pixel), 3)) for m in self.seen.materials]
         for k, layer in enumerate(plan.layers):
             numbers = [i for i, of in enumerate(self.parts) if k < len(of)]
@@ -237,7 +274,8 @@ class AdaptiveShader:
             for number in numbers:
                 m, part = self.seen.materials[number], (parts or self.parts)[number][k]
                 counts = self._of(m, layer.counts)
-                radiance = estimate(part, light, m.pixels, counts, seed, filtered, self._blocked(m, plan.shadows))
+                blocked = self._blocked(m, plan.shadows)
+                radiance = estimate(part, light, m.pixels, counts, seed, filtered, blocked, heard)
                 image = image.at[m.pixels.pixel].add(radiance, mode="drop")
             image = layer.between.filled(image.reshape(*self.seen.covered.shape, 3)).reshape(-1, 3)
             for number in numbers:
@@ -302,6 +340,17 @@ class AdaptiveShader:
     def _image(self, rows) -> Float[Array, "h w c"]:
         found = [(m.pixels.pixel, of) for m, of in zip(self.seen.materials, rows, strict=True)]
         return _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
+
+
+class _Sum:
+    """Progress of several parts as one."""
+
+    def __init__(self, report: Report, total: int):
+        self._report, self._total, self._done = report, total, 0
+
+    def __call__(self, samples: int):
+        self._done += samples
+        self._report("samples", min(self._done, self._total), self._total)
 
 
 class _Probe(NamedTuple):

@@ -34,6 +34,7 @@ def estimate(
     seed: int = 0,
     filtered: bool = True,
     blocked: Blocked | None = None,
+    report: Callable[[int], None] | None = None,
 ) -> Float[Array, "p 3"]:
     """Mean reflected radiance; 0 where the count is. Differentiable in the light and the BRDF.
 
@@ -45,6 +46,7 @@ def estimate(
         seed: of the numbers that samples are drawn with.
         filtered: look up the mean of what a sample stands for; else the single texel, whose noise is larger.
         blocked: casts shadows; None for none.
+        report: hears of samples that are under way.
     """
     runs = np.minimum(-(-np.asarray(counts) // RUN), MOST // RUN).astype(np.int64)
     place = np.repeat(np.arange(len(runs), dtype=np.int32), runs)
@@ -56,6 +58,10 @@ def estimate(
     total = jnp.zeros((len(runs), 3), jnp.float32)
     for start in range(0, len(place), _BATCH):
         mine = place[start : start + _BATCH], first[start : start + _BATCH]
+        if report:
+            # Work is handed out ahead of what is done; not by more than a batch.
+            jax.block_until_ready(total)
+            report(RUN * len(mine[0]))
         if blocked is None:
             total = _added(total, part, light, pixels, number, *mine, seed, filtered)
         else:

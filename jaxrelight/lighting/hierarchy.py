@@ -85,6 +85,10 @@ class Hierarchy(eqx.Module):
         """The image with what lies between shaded pixels; linear in them, and differentiable."""
         return _filled(self.shaded, self.weights, image)
 
+    def spread(self, variance: Float[Array, "h w"]) -> Float[Array, "h w"]:
+        """Of each pixel, the variance that those of shaded pixels leave in it, were its parents independent."""
+        return _filled(self.shaded, tuple(w * w for w in self.weights), variance[..., None])[..., 0]
+
     def influence(self) -> Float[Array, "h w"]:
         """The factor on each shaded pixel's variance in the sum of all pixels'."""
         return _influence(self.shaded, self.weights, self.asked.astype(self.error.dtype))
@@ -93,7 +97,6 @@ class Hierarchy(eqx.Module):
         """The level whose pixels are each one's parents, and 0 of shaded pixels."""
         found = np.zeros(self.shaded.shape, np.int32)
         for level in range(LEVELS, 0, -1):
-            found[:: 2**level, :: 2**level] = np.minimum(found[:: 2**level, :: 2**level], level)
             step = 2 ** (level - 1)
             for down, right in ((0, 1), (1, 0), (1, 1)):
                 found[down * step :: 2 * step, right * step :: 2 * step] = level

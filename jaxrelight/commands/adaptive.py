@@ -1,0 +1,133 @@
+"""What `render --lighting adaptive` does: a picture without a store, shaded where bandwidth asks."""
+
+import pathlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from jaxrelight.commands.options import LightOptions, PictureOptions
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxrelight.brdf.spatial import Minification
+    from jaxrelight.lighting.adaptive import Plan
+    from jaxrelight.scene import Scene
+
+# Root-mean-square error of displayed values, unless something else is asked for.
+_TOLERANCE = 0.01
+
+
+def adaptive_picture(
+    scene: "Scene",
+    light: LightOptions,
+    output: pathlib.Path,
+    picture: PictureOptions,
+    *,
+    samples: float | None,
+    tolerance: float | None,
+    maps: pathlib.Path | None,
+    shadows: bool,
+    minification: "Minification",
+    seed: int,
+    seconds: dict[str, float],
+    report: Callable[[str, int, int], None],
+) -> dict:
+    """Lights a scene by samples of its environment and by its local lights, writes the picture and says what it took.
+
+    Args:
+        scene: with the camera.
+        light: changes the scene's environment.
+        output: the picture's file.
+        picture: how it is written.
+        samples: of a pixel, on average.
+        tolerance: root-mean-square error of displayed values, in its place.
+        maps: the folder for pictures of what was planned; None for none.
+        shadows: whether surfaces hide lights from each other.
+        minification: what is seen of texels smaller than pixels, see `look_at`.
+        seed: of samples.
+        seconds: by stage; what is done here is added.
+        report: hears of progress.
+
+    Raises:
+        InputError: for a scene without any light, both dials, or what `look_at` refuses.
+    """
+    import jax
+    import numpy as np
+
+    from jaxrelight.commands.progress import notes
+    from jaxrelight.commands.relight import timed
+    from jaxrelight.commands.summary import versions
+    from jaxrelight.errors import InputError
+    from jaxrelight.images import write_image
+    from jaxrelight.lighting.adaptive import AdaptiveShader
+    from jaxrelight.lighting.prefiltered import look_at
+    from jaxrelight.lights.pyramid import light_pyramid
+
+    if samples is not None and tolerance is not None:
+        raise InputError("--samples is a budget and --tolerance a quality; give one of both")
+    for name, given in (("samples", samples), ("tolerance", tolerance)):
+        if given is not None and not 0 < given < np.inf:
+            raise InputError(f"--{name} is {given}; it must be above 0")
+    asked = light != LightOptions()
+    environment = light.environment(scene.environment) if scene.environment or asked or not scene.lights else None
+    notes(dict.fromkeys((*scene.notes, *(environment.notes if environment else ()))))
+    if maps is not None and environment is None:
+        raise InputError("--maps shows how an environment is sampled, and there is none; leave it out, or give --env")
+    with timed(seconds, "view"):
+        seen = look_at(scene, minification)
+    image, told = np.zeros((*seen.covered.shape, 3), np.float32), {}
+    if environment is not None:
+        notes(["adaptive: surfaces do not light each other"])
+        with timed(seconds, "light"):
+            pyramid = light_pyramid(environment)
+        with timed(seconds, "materials"):
+            shader = AdaptiveShader(seen, scene.camera, report=report)
+        white = 2.0**-picture.exposure / max(environment.scale, 1e-30)
+        if samples is None and tolerance is None:
+            tolerance = _TOLERANCE
+        with timed(seconds, "plan"):
+            plan = shader.plan(pyramid, samples=samples, tolerance=tolerance, white=white, shadows=shadows)
+        with timed(seconds, "shade"):
+            radiance = jax.block_until_ready(shader.shade(plan, pyramid, seed, report=report))
+        image = image + environment.scale * np.asarray(radiance)
+        told = {
+            "samples": plan.samples / max(int(seen.covered.sum()), 1),
+            "shaded": plan.shaded / max(int(seen.covered.sum()) * len(plan.layers), 1),
+            "predicted_error": {"between_pixels": plan.interpolation, "samples": plan.noise},
+        }
+        if maps is not None:
+            told["maps"] = _write_maps(maps, plan, seen.covered)
+    with timed(seconds, "lights"):
+        image = image + np.asarray(seen.lit_by(scene.lights, shadows))
+    if environment is not None and picture.background == "environment":
+        image = np.where(seen.covered[..., None], image, np.asarray(seen.background(environment)))
+    image = np.concatenate([image, seen.covered[..., None]], axis=-1, dtype=np.float32)
+    with timed(seconds, "write"):
+        write_image(output, image, picture.exposure)
+    return {
+        "picture": str(output),
+        "width": scene.camera.width,
+        "height": scene.camera.height,
+        "covered": float(seen.covered.mean()),
+        "mean_radiance": float(image[seen.covered][:, :3].mean()) if seen.covered.any() else 0.0,
+        "lights": len(scene.lights),
+        **told,
+        "versions": versions(),
+    }
+
+
+def _write_maps(folder: pathlib.Path, plan: "Plan", covered: "np.ndarray") -> dict[str, list[float]]:
+    """Pictures of bandwidth, levels, samples and predicted error; and what their ends stand for."""
+    from jaxrelight.errors import InputError
+    from jaxrelight.images import write_image
+    from jaxrelight.images.false_colour import false_colour
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--maps {folder}: {error.strerror}") from None
+    ends = {}
+    for name, values in plan.maps().items():
+        colours, ends[name] = false_colour(values, covered, octaves=name != "level")
+        write_image(folder / f"{name}.png", colours)
+    return {name: list(pair) for name, pair in ends.items()}
