@@ -34,12 +34,23 @@ from jaxrelight.lights.pyramid import LightPyramid
 _TOLERANCES = (*(0.32 * 2 ** (-k / 2) for k in range(14)), 0.0)
 # Of the predicted error, the root mean square of what is found.
 _OF_PREDICTED = 0.15
-# Error² of n filtered samples is this · variance / n^_DECAY.
-_NOISE, _DECAY = 0.4, 1.3
+# How noise falls is tried out on so many pixels of each component, with few and with more samples, against many.
+_TRIED, _FEW, _MORE, _EXACT = 128, 16, 256, 1024
+# By what powers of the number of samples error² can fall: random numbers' 1, and somewhat beyond that of even ones.
+_FALLS = 0.9, 1.6
+# Seeds of both trials; users' are others.
+_TRIALS = -1, -2
 
 Report = Callable[[str, int, int], None]
 # Components' BRDFs of each material.
 Parts = Sequence[Sequence[Sampled]]
+
+
+class Noise(NamedTuple):
+    """Error² of n samples is factor · variance / n^power: even numbers and filtered light do better than 1 / n."""
+
+    factor: float
+    power: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,17 +62,19 @@ class Layer:
         counts: samples of each pixel.
         bandwidth: that is predicted in the image, in cycles per pixel.
         deviation: of one sample, in displayed values.
+        noise: how its error falls with their number.
     """
 
     between: Hierarchy
     counts: Int[np.ndarray, "h w"]
     bandwidth: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
+    noise: "Noise"
 
     @property
     def error(self) -> Float[Array, "h w"]:
         """That is predicted of each pixel, in displayed values."""
-        noise = _NOISE * self.deviation**2 * jnp.maximum(self.counts, 1) ** -_DECAY
+        noise = self.noise.factor * self.deviation**2 * jnp.maximum(self.counts, 1.0) ** -self.noise.power
         return jnp.sqrt(self.between.spread(noise) + (_OF_PREDICTED * self.between.left) ** 2)
 
 
@@ -216,12 +229,13 @@ class AdaptiveShader:
         predicted = predicted or self.predicted(light, shadows=shadows)
         asked = [self._asked(k, predicted, white) for k in range(max(map(len, self.parts), default=0))]
         pixels = max(int(self.seen.covered.sum()), 1)
+        noise = self._noise(light, asked, shadows)
         tried: dict[int, _Candidate] = {}
 
         def cost(step: int) -> float:
             """The error of a budget, or the budget of an error."""
             if step not in tried:
-                layers = [_candidate(one, _TOLERANCES[step]) for one in asked]
+                layers = [_candidate(one, _TOLERANCES[step], noise.power) for one in asked]
                 tried[step] = _Candidate(
                     layers,
                     sum(layer.error for layer in layers) / pixels,
@@ -230,6 +244,7 @@ class AdaptiveShader:
                     samples and samples * pixels,
                     tolerance,
                     pixels,
+                    noise,
                 )
             return tried[step].cost
 
@@ -238,13 +253,12 @@ class AdaptiveShader:
             while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
                 step += way
         best = tried[step]
-        layers = []
-        for one, layer in zip(asked, best.layers, strict=True):
-            wanted = np.asarray(layer.wanted)
-            each = np.round(wanted * (best.budget / max(best.spread, 1e-30)) / RUN) * RUN
-            counts = np.where(np.asarray(layer.between.shaded), np.clip(each, RUN, MOST), 0).astype(np.int32)
-            layers.append(Layer(layer.between, counts, one.bandwidth, one.deviation))
-        return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.noise(best.budget))), shadows)
+        counts = _counts([(layer.wanted, layer.between.shaded) for layer in best.layers], best.budget)
+        layers = [
+            Layer(layer.between, each, one.bandwidth, one.deviation, noise)
+            for one, layer, each in zip(asked, best.layers, counts, strict=True)
+        ]
+        return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.error_of(best.budget))), shadows)
 
     def shade(
         self,
@@ -298,6 +312,34 @@ class AdaptiveShader:
             found.append(radiance)
         return self.seen.image(found)
 
+    def _noise(self, light: LightPyramid, asked: Sequence["_Asked"], shadows: bool) -> Noise:
+        """Tried out on few pixels: skies and materials differ in how soon samples meet all there is."""
+        found, expected = {_FEW: 0.0, _MORE: 0.0}, {_FEW: 0.0, _MORE: 0.0}
+        for one in asked:
+            for m, parts in zip(self.seen.materials, self.parts, strict=True):
+                if one.number >= len(parts):
+                    continue
+                deviation, visible = (self._of(m, np.asarray(of, float)) for of in (one.deviation, one.visible))
+                real = np.flatnonzero(deviation > 0)
+                places = real[np.unique(np.linspace(0, len(real) - 1, 2 * _TRIED).astype(int))] if len(real) else real
+                counts = np.zeros(len(deviation), int)
+                counts[places[::2]], counts[places[1::2]] = _FEW, _MORE
+                many, blocked = np.where(counts > 0, _EXACT, 0), self._blocked(m, shadows)
+                part = parts[one.number]
+                few, exact = (
+                    np.asarray(estimate(part, light, m.pixels, each, seed, blocked=blocked))
+                    for each, seed in zip((counts, many), _TRIALS, strict=True)
+                )
+                apart = np.mean((few - exact) ** 2, axis=1) * visible**2
+                for number in found:
+                    found[number] += float(apart[counts == number].sum())
+                    expected[number] += float(np.sum(deviation[counts == number] ** 2))
+        if min(*found.values(), *expected.values()) <= 0:
+            return Noise(1.0, 1.0)
+        few, more = (found[number] / expected[number] for number in found)
+        power = float(np.clip(np.log(few / more) / np.log(_MORE / _FEW), *_FALLS))
+        return Noise(float(np.sqrt(few * more) * (_FEW * _MORE) ** (power / 2)), power)
+
     def _blocked(self, m: SeenMaterial, shadows: bool) -> Blocked | None:
         """Whether rays from a material's pixels meet anything."""
         if not shadows:
@@ -318,15 +360,22 @@ class AdaptiveShader:
             total = sum(w * one.radiance for w, one in zip(weights, parts, strict=True))
             visible = weights[k] * display_slope(jnp.asarray(total) / white) / white
             one = parts[k]
-            rows = one.angular, one.spatial, visible * one.contrast, visible * jnp.sqrt(one.variance), one.image
+            rows = (
+                one.angular,
+                one.spatial,
+                visible * one.contrast,
+                visible,
+                visible * jnp.sqrt(one.variance),
+                one.image,
+            )
             found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))
         image = _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
-        angular, spatial, contrast, deviation, bandwidth = jnp.moveaxis(_most(image), -1, 0)
+        angular, spatial, contrast, visible, deviation, bandwidth = jnp.moveaxis(_most(image), -1, 0)
         kind = np.where(
             np.isin(self._material, [i for i, of in enumerate(self.parts) if k < len(of)]), self._material, -1
         )
         features = Features(jnp.asarray(kind), self._mirrored, angular, self._position, spatial, contrast)
-        return _Asked(hierarchy(features), deviation, bandwidth)
+        return _Asked(k, hierarchy(features), visible, deviation, bandwidth)
 
     @functools.cached_property
     def _mirrored(self) -> Float[Array, "h w 3"]:
@@ -363,9 +412,11 @@ class _Probe(NamedTuple):
 
 
 class _Asked(NamedTuple):
-    """How one layer's pixels hang together, the deviation of a sample as it is seen, and bandwidth in the image."""
+    """How one layer's pixels hang together, and how much of an error is seen; see `Layer` for the others."""
 
+    number: int
     between: Hierarchy
+    visible: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
     bandwidth: Float[Array, "h w"]
 
@@ -391,10 +442,12 @@ class _Candidate:
     given: float | None
     tolerance: float | None
     pixels: int
+    noise: Noise
 
-    def noise(self, budget: float) -> float:
+    def error_of(self, budget: float) -> float:
         """Mean error² of so many samples."""
-        return _NOISE * self.spread ** (1 + _DECAY) / self.pixels * max(budget, 1) ** -_DECAY
+        factor, power = self.noise
+        return factor * self.spread ** (1 + power) / self.pixels * max(budget, 1) ** -power
 
     @property
     def budget(self) -> float:
@@ -403,14 +456,15 @@ class _Candidate:
             return max(self.given, self.least)
         assert self.tolerance is not None
         left = max(self.tolerance**2 - self.error, 1e-3 * self.tolerance**2)
-        return max((self.noise(1) / left) ** (1 / _DECAY), self.least)
+        return max((self.error_of(1) / left) ** (1 / self.noise.power), self.least)
 
     @property
     def cost(self) -> float:
         """What is to be as small as possible."""
-        if self.given is not None:
-            return (self.error + self.noise(self.budget)) * max(self.budget / self.given, 1)
-        return self.budget
+        if self.given is None:
+            return self.budget
+        # Of those that do not fit, the fewest samples.
+        return self.error + self.error_of(self.budget) if self.least <= self.given else 1e6 + self.least
 
 
 def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
@@ -423,15 +477,36 @@ def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
     return slope / jnp.maximum(value, 1) ** 2
 
 
-def _candidate(asked: _Asked, tolerance: float) -> _CandidateLayer:
+def _candidate(asked: _Asked, tolerance: float, power: float) -> _CandidateLayer:
     between = asked.between.within(tolerance)
-    wanted, error, spread, shaded = _work(between, between.influence(), asked.deviation)
+    wanted, error, spread, shaded = _work(between, between.influence(), asked.deviation, power)
     return _CandidateLayer(between, wanted, float(error), float(spread), int(shaded))
 
 
+def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
+    """Whole runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget."""
+    wanted = [np.asarray(of, float) / RUN for of, _ in layers]
+    shaded = [np.asarray(of) for _, of in layers]
+
+    def at(scale: float):
+        return [
+            np.where(of, np.clip(np.round(scale * one), 1, MOST // RUN) * RUN, 0).astype(np.int32)
+            for one, of in zip(wanted, shaded, strict=True)
+        ]
+
+    low, high = (
+        0.0,
+        2 * budget / max(sum(float(np.sum(one[of])) for one, of in zip(wanted, shaded, strict=True)), 1e-30),
+    )
+    for _ in range(16):
+        middle = (low + high) / 2
+        low, high = (low, middle) if sum(int(each.sum()) for each in at(middle)) > budget else (middle, high)
+    return at(low)
+
+
 @jax.jit
-def _work(between, influence, deviation):
-    wanted = (influence * deviation**2) ** (1 / (1 + _DECAY))
+def _work(between, influence, deviation, power):
+    wanted = (influence * deviation**2) ** (1 / (1 + power))
     error = _OF_PREDICTED**2 * jnp.sum(between.left**2)
     return wanted, error, jnp.sum(wanted), jnp.sum(between.shaded)
 

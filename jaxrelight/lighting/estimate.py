@@ -54,8 +54,9 @@ def estimate(
     # Padding belongs to no pixel.
     end = -(-len(place) // _BATCH) * _BATCH - len(place)
     place, first = np.pad(place, (0, end), constant_values=len(runs)), np.pad(first, (0, end))
-    number = jnp.asarray((runs * RUN).astype(np.float32))
-    total = jnp.zeros((len(runs), 3), jnp.float32)
+    dtype = jnp.result_type(light.radiance.values, pixels.omega_o)
+    number = jnp.asarray(runs * RUN, dtype)
+    total = jnp.zeros((len(runs), 3), dtype)
     for start in range(0, len(place), _BATCH):
         mine = place[start : start + _BATCH], first[start : start + _BATCH]
         if report:

@@ -1,0 +1,167 @@
+"""Adaptive shading: against many samples everywhere, within budgets and tolerances, in pictures where little varies."""
+
+import dataclasses
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight import Camera, Part, Scene, environment, lambert, phong, plane, sphere
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.texture import Texture
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.mesh import transformed
+from jaxrelight.images import srgb_encode
+from jaxrelight.images.tone import to_unit
+from jaxrelight.lighting.adaptive import AdaptiveShader, display_slope
+from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lights.pyramid import cells, light_pyramid
+
+CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 48, 40)
+GLOSSY = phong([0.2, 0.1, 0.05], 0.4, 60)
+
+
+@functools.cache
+def sky():
+    pixels = 0.3 + np.random.default_rng(0).random((16, 32, 3)) ** 8
+    return light_pyramid(environment(np.kron(pixels, np.ones((2, 2, 1))).astype(np.float32)))
+
+
+def ball_on_floor(brdf=GLOSSY, floor=None) -> Scene:
+    down = transformed(plane([4, 4]), np.array([[1, 0, 0, 0], [0, 1, 0, -1], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+    parts = [Part(sphere(1, 24), "skin"), Part(down, "floor")]
+    return Scene(parts, {"skin": brdf, "floor": floor or lambert(0.5)}, CAMERA, name="ball")
+
+
+@functools.cache
+def shader() -> AdaptiveShader:
+    scene = ball_on_floor()
+    return AdaptiveShader(look_at(scene), scene.camera)
+
+
+@functools.cache
+def wanted(shadows: bool) -> np.ndarray:
+    return np.asarray(shader().uniform(sky(), 2048, 7, filtered=True, shadows=shadows))
+
+
+def off(image, other, covered) -> float:
+    """Root-mean-square difference of displayed values."""
+    one, two = (srgb_encode(to_unit(np.asarray(x)))[covered] for x in (image, other))
+    return float(np.sqrt(np.mean((one - two) ** 2)))
+
+
+@pytest.mark.parametrize("shadows", [False, True])
+@pytest.mark.parametrize("tolerance", [0.02, 0.006])
+def test_the_error_is_what_was_asked_for(shadows: bool, tolerance: float):
+    plan = shader().plan(sky(), tolerance=tolerance, shadows=shadows)
+    found = off(shader().shade(plan, sky()), wanted(shadows), shader().seen.covered)
+    assert found < 1.3 * tolerance
+    assert np.hypot(plan.interpolation, plan.noise) < 1.05 * tolerance
+    # Fewer samples than as many everywhere, and than pixels times the least.
+    assert plan.shaded < 0.9 * shader().seen.covered.sum()
+
+
+def test_budgets_are_kept_and_more_is_better():
+    pixels, errors = shader().seen.covered.sum(), []
+    for samples in (8, 32, 128):
+        plan = shader().plan(sky(), samples=samples)
+        assert 0.7 * samples < plan.samples / pixels < 1.15 * samples
+        errors.append(off(shader().shade(plan, sky()), wanted(False), shader().seen.covered))
+    assert errors == sorted(errors, reverse=True)
+    # Against the same number everywhere.
+    even = off(shader().uniform(sky(), 32), wanted(False), shader().seen.covered)
+    assert errors[1] < 0.5 * even
+
+
+def test_lambert_under_a_constant_sky_is_exact_and_hardly_shaded():
+    camera = dataclasses.replace(CAMERA, width=240, height=200)
+    seen = look_at(Scene([Part(sphere(1, 48), "skin")], {"skin": lambert(0.6)}, camera, name="ball"))
+    white, one = light_pyramid(environment(np.ones((8, 16, 3), np.float32))), AdaptiveShader(seen, camera)
+    plan = one.plan(white, tolerance=0.01)
+    image = np.asarray(one.shade(plan, white))
+    facing = seen.covered.copy()
+    facing[seen.covered] = np.sum(seen.gbuffer.normals * seen.gbuffer.omega_o, axis=1) > 0
+    np.testing.assert_allclose(image[facing], 0.6, rtol=1e-3)
+    assert plan.shaded < 0.01 * seen.covered.sum()
+
+
+def test_the_same_seed_is_the_same_image():
+    plan = shader().plan(sky(), samples=16)
+    one = np.asarray(shader().shade(plan, sky(), 3))
+    np.testing.assert_array_equal(shader().shade(plan, sky(), 3), one)
+    assert np.abs(np.asarray(shader().shade(plan, sky(), 4)) - one).max() > 0
+
+
+def test_textures_ask_for_no_shading():
+    """A checked floor is as sharp as it is, though few of its pixels are shaded."""
+    checks = Texture(np.kron(np.indices((8, 8)).sum(axis=0) % 2, np.ones((4, 4)))[..., None].astype(np.float32))
+    bare, checked = (Material((Component(lambert(0.5), weight),)) for weight in ((), (checks,)))
+    images = []
+    for floor in (bare, checked):
+        scene = ball_on_floor(floor=floor)
+        one = AdaptiveShader(look_at(scene), CAMERA)
+        plan = one.plan(sky(), tolerance=0.01)
+        images.append((np.asarray(one.shade(plan, sky())), plan.shaded))
+    (plain, few), (sharp, more) = images
+    assert more <= 1.1 * few
+    floor = shader().seen.materials[0].name == "floor"
+    number = np.asarray(shader().seen.materials[0 if floor else 1].pixels.pixel)
+    number = number[number < plain[..., 0].size]
+    share = sharp.reshape(-1, 3)[number] / plain.reshape(-1, 3)[number]
+    assert (share.min(), share.max()) == (0, pytest.approx(1, abs=0.1))
+
+
+def test_a_wire_one_pixel_wide_is_not_lost():
+    wire = transformed(plane([0.03, 4]), np.array([[1, 0, 0, 0], [0, 1, 0, 1.02], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+    parts = [*ball_on_floor().parts, Part(wire, "wire")]
+    scene = Scene(parts, {**ball_on_floor().materials, "wire": lambert([1, 0, 0])}, CAMERA, name="wire")
+    one = AdaptiveShader(look_at(scene), CAMERA)
+    image = np.asarray(one.shade(one.plan(sky(), samples=32), sky()))
+    exact = np.asarray(one.uniform(sky(), 512, 1, filtered=True))
+    red = exact[..., 0] > 4 * exact[..., 1] + 1e-3
+    assert red.sum() > 10
+    np.testing.assert_allclose(image[red], exact[red], rtol=0.15, atol=0.02)
+
+
+def test_maps_show_what_was_planned():
+    plan = shader().plan(sky(), samples=32)
+    maps = plan.maps()
+    assert set(maps) == {"bandwidth", "level", "samples", "error"}
+    assert all(of.shape == (40, 48) and np.isfinite(of).all() for of in maps.values())
+    assert maps["samples"].sum() == plan.samples
+    assert ((maps["samples"] > 0) <= (maps["level"] == 0)).all()
+    covered = shader().seen.covered
+    total = np.sqrt(np.mean(maps["error"][covered] ** 2))
+    np.testing.assert_allclose(total, np.hypot(plan.interpolation, plan.noise), rtol=0.25)
+
+
+def test_gradients_are_finite_and_descend():
+    plan = shader().plan(sky(), samples=16)
+    pixels = jnp.asarray(np.full((8, 16, 3), 0.5, np.float32))
+
+    def loss(pixels, brdf):
+        lit = eqx.tree_at(lambda of: of.radiance, sky(), cells(pixels))
+        parts = tuple(tuple(eqx.tree_at(lambda of: of.brdf, part, brdf) for part in of) for of in shader().parts)
+        return jnp.mean((shader().shade(plan, lit, parts=parts) - 0.1) ** 2)
+
+    value, (by_light, by_brdf) = jax.value_and_grad(lambda both: loss(*both))((pixels, GLOSSY))
+    for gradient in jax.tree.leaves((by_light, by_brdf)):
+        assert np.isfinite(gradient).all()
+    step = 0.05 / float(jnp.max(jnp.abs(by_light)))
+    assert float(loss(pixels - step * by_light, GLOSSY)) < float(value)
+
+
+def test_one_of_both_dials():
+    for dials in ({}, {"samples": 8, "tolerance": 0.1}, {"samples": 0}, {"tolerance": float("nan")}, {"samples": -1}):
+        with pytest.raises(InputError, match="adaptive shading"):
+            shader().plan(sky(), **dials)  # pyright: ignore[reportArgumentType]
+
+
+def test_the_slope_is_that_of_what_is_displayed():
+    x = np.linspace(0.001, 0.999, 97)
+    slope = (srgb_encode(x + 1e-6) - srgb_encode(x - 1e-6)) / 2e-6
+    np.testing.assert_allclose(display_slope(jnp.asarray(x)), slope, rtol=1e-3)
+    assert float(display_slope(jnp.asarray(100.0))) < 1e-3

@@ -1,0 +1,147 @@
+"""Estimates by work in batches: closed forms, laws, the same for the same seed, gradients."""
+
+import functools
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight import Camera, Part, Scene, ashikhmin_shirley, environment, lambert, phong, plane, sphere
+from jaxrelight.basis import latlong
+from jaxrelight.brdf.half_sampling import half_vectors
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.lighting.estimate import RUN, estimate
+from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
+from jaxrelight.lighting.random_numbers import MOST
+from jaxrelight.lighting.sampled import Sampled, sampled
+from jaxrelight.lights.pyramid import LightPyramid, cells, light_pyramid
+
+CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 12, 10)
+
+
+class View(NamedTuple):
+    pixels: SurfacePixels
+    real: np.ndarray
+
+
+@functools.cache
+def view() -> View:
+    seen = look_at(Scene([Part(sphere(1, 24), "skin")], {"skin": lambert(0.5)}, CAMERA, name="ball"))
+    pixels = seen.materials[0].pixels
+    return View(pixels, np.asarray(pixels.pixel) < CAMERA.width * CAMERA.height)
+
+
+@functools.cache
+def sky(constant: bool = False) -> LightPyramid:
+    pixels = np.ones((8, 16, 3)) if constant else np.random.default_rng(0).random((8, 16, 3)) ** 4
+    return light_pyramid(environment(pixels.astype(np.float32)))
+
+
+def counts(of: int) -> np.ndarray:
+    return np.where(view().real, of, 0)
+
+
+def test_lambert_under_a_constant_sky_is_exact():
+    found = estimate(sampled(lambert(0.6)), sky(True), view().pixels, counts(RUN))
+    np.testing.assert_allclose(np.asarray(found)[view().real], 0.6, rtol=1e-5)
+    assert not np.asarray(found)[~view().real].any()
+
+
+@pytest.mark.parametrize("brdf", [phong(0.2, 0.5, 40), ashikhmin_shirley(0.2, 0.4, 30, 30)])
+def test_filtered_or_not_many_samples_agree(brdf):
+    part = sampled(brdf)
+    one = np.asarray(estimate(part, sky(), view().pixels, counts(4096), filtered=False))
+    other = np.asarray(estimate(part, sky(), view().pixels, counts(4096), 1))
+    np.testing.assert_allclose(other, one, atol=0.02 * one.max())
+    few = np.asarray(estimate(part, sky(), view().pixels, counts(64)))
+    rough = np.asarray(estimate(part, sky(), view().pixels, counts(64), filtered=False))
+    assert np.abs(few - one).mean() < np.abs(rough - one).mean()
+
+
+def test_seeds_and_counts():
+    part, pixels = sampled(phong(0.2, 0.5, 40)), view().pixels
+    one = np.asarray(estimate(part, sky(), pixels, counts(32), 5))
+    np.testing.assert_array_equal(estimate(part, sky(), pixels, counts(32), 5), one)
+    assert np.abs(np.asarray(estimate(part, sky(), pixels, counts(32), 6)) - one).max() > 0
+    # A pixel's estimate is its own, whatever others get.
+    mixed = np.where(view().real, np.arange(len(view().real)) % 4 * RUN, 0)
+    found = np.asarray(estimate(part, sky(), pixels, mixed, 5))
+    np.testing.assert_allclose(found[mixed == 2 * RUN], one[mixed == 2 * RUN], rtol=1e-5)
+    assert not found[mixed == 0].any()
+    # More than there are numbers count as those.
+    few = np.where(np.arange(len(view().real)) == np.flatnonzero(view().real)[0], 2 * MOST, 0)
+    assert np.isfinite(estimate(part, sky(), pixels, few)).all()
+
+
+def test_linear_in_light():
+    part = sampled(phong(0.2, 0.5, 40))
+    double = eqx.tree_at(lambda light: light.radiance.values, sky(), 2 * sky().radiance.values)
+    one, two = (np.asarray(estimate(part, light, view().pixels, counts(32))) for light in (sky(), double))
+    np.testing.assert_allclose(two, 2 * one, rtol=1e-5)
+
+
+def test_a_sun_of_a_hundred_thousand_is_not_lost():
+    """One texel holds nearly all light: 64 samples would meet it in one pixel of twenty."""
+    pixels = np.full((64, 128, 3), 0.1, np.float32)
+    pixels[12, 40] = 1e5
+    part, light = sampled(lambert(0.5)), light_pyramid(environment(pixels))
+    towards = latlong.directions(np.array(40.5 / 128), np.array(12.5 / 64))
+    cosine = np.asarray(view().pixels.frame[:, 2] @ towards)
+    irradiance = np.pi * 0.1 + 1e5 * latlong.solid_angles(64, 128)[12] * cosine
+    lit = view().real & (cosine > 0.3)
+    for filtered, most in ((True, 0.5), (False, np.inf)):
+        found = np.asarray(estimate(part, light, view().pixels, counts(64), filtered=filtered))[lit, 0]
+        assert np.isfinite(found).all()
+        off = np.median(np.abs(found * (np.pi / 0.5) / irradiance[lit] - 1))
+        assert off < most
+        assert filtered or off > 0.9
+
+
+def test_what_is_blocked_is_dark():
+    part, pixels = sampled(lambert(0.5)), view().pixels
+    asked = []
+
+    def blocked(place, towards):
+        asked.append(len(place))
+        assert np.allclose(np.linalg.norm(towards, axis=1), 1, atol=1e-5)
+        return towards[:, 1] < 0
+
+    found = np.asarray(estimate(part, sky(True), pixels, counts(RUN), blocked=blocked))
+    free = np.asarray(estimate(part, sky(True), pixels, counts(RUN)))
+    assert (found <= free + 1e-6).all()
+    assert 0 < found.sum() < free.sum()
+    assert sum(asked) <= RUN * view().real.sum()
+    dark = estimate(part, sky(True), pixels, counts(RUN), blocked=lambda place, _: np.ones(len(place), bool))
+    assert not np.asarray(dark).any()
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradients_are_those_of_differences():
+    """In the sky's pixels and in a BRDF, while samples stand still."""
+    one = look_at(Scene([Part(plane([4, 4]), "skin")], {"skin": lambert(0.5)}, CAMERA, name="floor"))
+    pixels = jax.tree.map(lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x, one.materials[0].pixels)
+    number = np.zeros(len(pixels.pixel), int)
+    number[:6] = RUN
+    base = np.random.default_rng(0).random((8, 16, 3))
+    light = light_pyramid(environment(base))
+    base_brdf = phong(0.2, 0.5, 20.0)
+    half = half_vectors(base_brdf)
+
+    def total(sky, diffuse, scale, exponent):
+        brdf = LobeSum(diffuse, base_brdf.C, exponent, scale)
+        lit = eqx.tree_at(lambda of: of.radiance, light, cells(sky))
+        return jnp.sum(estimate(Sampled(brdf, half), lit, pixels, number))
+
+    parameters = (base_brdf.diffuse, base_brdf.scale, base_brdf.exponent)
+    given = [jnp.asarray(x, jnp.float64) for x in (base, *parameters)]
+    gradients = jax.grad(total, (0, 1, 2, 3))(*given)
+    rng = np.random.default_rng(1)
+    for k, gradient in enumerate(gradients):
+        way = jnp.asarray(rng.normal(size=given[k].shape))
+        one, other = (
+            total(*[x + (sign * 1e-4 * way if i == k else 0) for i, x in enumerate(given)]) for sign in (1, -1)
+        )
+        np.testing.assert_allclose(jnp.sum(gradient * way), (one - other) / 2e-4, rtol=1e-5, atol=1e-7)

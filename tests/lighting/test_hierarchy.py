@@ -1,0 +1,107 @@
+"""Nested lattices: what must be shaded is, linear functions are reproduced, kinds do not mix, noise adds up."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.lighting.hierarchy import LEVELS, Features, Hierarchy, hierarchy
+
+H, W = 40, 48
+
+
+def features(kind=None, angular=0.5, contrast=1.0, spatial=0.0, bent=0.01) -> Features:
+    """Mirrors that turn evenly to the right and down."""
+    y, x = np.mgrid[:H, :W].astype(np.float32)
+    mirror = np.stack([bent * (x - W / 2), bent * (y - H / 2), np.ones_like(x)], axis=-1)
+    mirror /= np.linalg.norm(mirror, axis=-1, keepdims=True)
+    kind = np.zeros((H, W), np.int32) if kind is None else kind
+    position = np.stack([x, y, 0 * x], axis=-1)
+    angular, spatial, contrast = (np.broadcast_to(np.float32(of), (H, W)) for of in (angular, spatial, contrast))
+    return Features(*map(jnp.asarray, (kind, mirror, angular, position, spatial, contrast)))
+
+
+@functools.cache
+def plain() -> Hierarchy:
+    return hierarchy(features())
+
+
+def test_nothing_is_left_without_tolerance_and_little_is_shaded_with_much():
+    found = plain()
+    assert np.asarray(found.shaded).all()
+    least = np.asarray(found.within(1e9).shaded)
+    assert least[:: 2**LEVELS, :: 2**LEVELS].all()
+    # Beyond the last lattice a line through its pixels would make their noise larger.
+    assert least[: -(H % 2**LEVELS), : -(W % 2**LEVELS)].sum() == 1
+    assert least.mean() < 0.02
+    counts = [int(found.within(tolerance).shaded.sum()) for tolerance in (0.3, 0.1, 0.03, 0.01)]
+    assert counts == sorted(counts)
+    assert (np.asarray(found.within(0.1).left) <= 0.1).all()
+
+
+def test_what_is_linear_in_the_mirror_is_reproduced():
+    given = features()
+    image = np.asarray(given.mirror) @ np.array([[0.5, 2], [1, -1], [0, 0]], np.float32) + 3
+    between = plain().within(0.02)
+    shaded = np.asarray(between.shaded)
+    assert shaded.mean() < 0.7
+    np.testing.assert_allclose(between.filled(jnp.asarray(np.where(shaded[..., None], image, 7))), image, atol=0.02)
+
+
+def test_shaded_pixels_stay():
+    image = np.random.default_rng(0).random((H, W, 3)).astype(np.float32)
+    between = plain().within(0.05)
+    shaded = np.asarray(between.shaded)
+    np.testing.assert_array_equal(np.asarray(between.filled(jnp.asarray(image)))[shaded], image[shaded])
+    np.testing.assert_allclose(plain().within(1e9).filled(jnp.ones((H, W, 1))), 1, atol=1e-5)
+
+
+def test_kinds_do_not_mix():
+    kind = np.zeros((H, W), np.int32)
+    kind[:, 19:] = 1
+    kind[5:9, 10:30] = 2
+    kind[:, 40:] = -1
+    between = hierarchy(features(kind)).within(1e9)
+    image = np.where(kind >= 0, kind + 1.0, 99)[..., None].astype(np.float32)
+    found = np.asarray(between.filled(jnp.asarray(image)))
+    asked = kind >= 0
+    np.testing.assert_allclose(found[asked], image[asked], atol=1e-4)
+    assert not np.asarray(between.shaded)[~asked].any()
+    # A wire one pixel wide is shaded or between pixels of its own.
+    kind = np.zeros((H, W), np.int32)
+    kind[:, 7] = 1
+    found = hierarchy(features(kind)).within(1e9).filled(jnp.asarray(kind[..., None], jnp.float32))
+    np.testing.assert_allclose(np.asarray(found)[..., 0], kind, atol=1e-4)
+
+
+@pytest.mark.parametrize("of", ["angular", "spatial", "contrast"])
+def test_more_of_anything_asks_for_more(of: str):
+    base = {"angular": 0.5, "spatial": 0.002, "contrast": 1.0}
+    counts = []
+    for factor in (1, 3, 10):
+        between = hierarchy(features(**{**base, of: base[of] * factor})).within(0.1)
+        counts.append(int(between.shaded.sum()))
+    assert counts == sorted(counts)
+    assert counts[0] < counts[2]
+
+
+def test_all_is_smooth_where_nothing_varies():
+    assert int(hierarchy(features(angular=0)).within(1e-6).shaded.sum()) < 0.02 * H * W
+
+
+def test_influence_is_the_transpose_of_spread():
+    between = plain().within(0.05)
+    variance = np.random.default_rng(0).random((H, W)).astype(np.float32)
+    shaded = np.asarray(between.shaded)
+    total = float(jnp.sum(between.spread(jnp.asarray(variance))))
+    np.testing.assert_allclose(np.sum(np.asarray(between.influence())[shaded] * variance[shaded]), total, rtol=1e-4)
+
+
+def test_levels_say_what_lies_between():
+    between = plain().within(1e9)
+    levels = between.levels()
+    assert levels[0, 0] == 0
+    assert levels[0, 2 ** (LEVELS - 1)] == LEVELS
+    assert levels[1, 1] == levels[0, 1] == 1
+    assert ((levels == 0) == np.asarray(between.shaded)).all()

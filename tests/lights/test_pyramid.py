@@ -1,0 +1,77 @@
+"""An environment's pyramid: means by solid angle, what is looked up, and bandwidth."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight import environment
+from jaxrelight.basis import latlong
+from jaxrelight.lights.pyramid import cells, light_bandwidth, light_pyramid
+
+_RANDOM = np.random.default_rng(1).normal(size=(200, 3))
+DIRECTIONS = jnp.asarray(_RANDOM / np.linalg.norm(_RANDOM, axis=1, keepdims=True), jnp.float32)
+
+
+def noise(rows: int) -> np.ndarray:
+    return np.random.default_rng(0).random((rows, 2 * rows, 3)).astype(np.float32)
+
+
+def found(light, solid_angle):
+    return np.asarray(jax.vmap(lambda one: light.radiance_at(one, solid_angle))(DIRECTIONS))
+
+
+def test_small_cells_are_pixels():
+    pixels = noise(16)
+    wanted = latlong.look_up(jnp.asarray(pixels), *latlong.finite_coordinates(DIRECTIONS))
+    light = light_pyramid(environment(pixels))
+    np.testing.assert_array_equal(found(light, None), wanted)
+    np.testing.assert_array_equal(found(light, jnp.float32(1e-9)), wanted)
+
+
+@pytest.mark.parametrize("rows", [8, 16, 12])
+def test_the_largest_cells_are_means_by_solid_angle(rows: int):
+    pixels = noise(rows)
+    weight = latlong.solid_angles(rows, 2 * rows)[:, None, None]
+    for half, columns in enumerate((slice(None, rows), slice(rows, None))):
+        wanted = (weight * pixels[:, columns]).sum(axis=(0, 1)) / (2 * np.pi)
+        np.testing.assert_allclose(cells(pixels).values[:, half - 2], wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 12, 64])
+@pytest.mark.parametrize("solid_angle", [1e-6, 1e-2, 0.3, 20])
+def test_a_constant_sky_is_constant(rows: int, solid_angle: float):
+    light = light_pyramid(environment(np.full((rows, 2 * rows, 3), 0.7, np.float32)))
+    np.testing.assert_allclose(found(light, jnp.float32(solid_angle)), 0.7, rtol=1e-5)
+    mean, square, bandwidth = jax.vmap(lambda one: light.detail_at(one, jnp.float32(solid_angle)))(DIRECTIONS)
+    np.testing.assert_allclose(mean, 0.7, rtol=1e-5)
+    np.testing.assert_allclose(square, 0.49, rtol=1e-5)
+    assert not np.asarray(bandwidth).any()
+
+
+def test_turning_is_a_turn_of_the_map():
+    pixels = noise(16)
+    quarter = light_pyramid(environment(pixels, rotate_y=90))
+    turned = np.asarray(latlong.rotate(jnp.asarray(pixels), jnp.asarray(90.0)))
+    np.testing.assert_array_equal(found(quarter, None), found(light_pyramid(environment(turned)), None))
+
+
+def test_waves_have_their_bandwidth():
+    """A wave of k periods around the equator has k / 2π cycles per radian, within an octave."""
+    u = (np.arange(256) + 0.5) / 256
+    for k in (4, 16, 64):
+        pixels = np.broadcast_to(1 + np.sin(2 * np.pi * k * u)[None, :, None], (128, 256, 3))
+        band = light_bandwidth(np.asarray(pixels, np.float32))[48:80]
+        assert k / (2 * np.pi) / 2.9 <= np.median(band) <= 2.9 * k / (2 * np.pi)
+
+
+def test_differentiable_in_pixels():
+    def total(pixels):
+        of = cells(pixels)
+        u, v = jnp.asarray([0.1, 0.6]), jnp.asarray([0.3, 0.7])
+        return jnp.sum(jax.vmap(of.look_up)(u, v, jnp.asarray([1e-6, 0.2])))
+
+    gradient = np.asarray(jax.grad(total)(jnp.asarray(noise(8))))
+    # Means' weights sum to 1 for each of two look-ups and three channels.
+    np.testing.assert_allclose(gradient.sum(), 6, rtol=1e-5)
+    assert (gradient >= 0).all()
