@@ -35,7 +35,7 @@ _TOLERANCES = (*(0.32 * 2 ** (-k / 2) for k in range(14)), 0.0)
 # Of the predicted error, the root mean square of what is found.
 _OF_PREDICTED = 0.15
 # How noise falls is tried out on so many pixels of each component, with few and with more samples, against many.
-_TRIED, _FEW, _MORE, _EXACT = 128, 16, 256, 1024
+_TRIED, _FEW, _MORE, _EXACT = 384, 32, 256, 512
 # By what powers of the number of samples error² can fall: random numbers' 1, and somewhat beyond that of even ones.
 _FALLS = 0.9, 1.6
 # Seeds of both trials; users' are others.
