@@ -150,7 +150,7 @@ class AdaptiveShader:
         bend, place = np.zeros(seen.covered.size, np.float32), np.flatnonzero(seen.covered)
         bend[place] = curvature(seen.gbuffer, seen.shadows.radius)
         eye = np.asarray(camera.origin)
-        self._probes = [self._probe(number, m, bend, eye) for number, m in enumerate(seen.materials)]
+        self.probes = [self._probe(number, m, bend, eye) for number, m in enumerate(seen.materials)]
 
     def _probe(self, number: int, m: SeenMaterial, bend, eye) -> "_Probe":
         """Every fourth pixel, and those that see another material than all of them around."""
@@ -196,7 +196,7 @@ class AdaptiveShader:
             return predict(*given, jnp.asarray(far))
 
         return tuple(
-            tuple(of(part, probe) for part in parts) for probe, parts in zip(self._probes, self.parts, strict=True)
+            tuple(of(part, probe) for part in parts) for probe, parts in zip(self.probes, self.parts, strict=True)
         )
 
     def plan(
@@ -353,7 +353,7 @@ class AdaptiveShader:
     def _asked(self, k: int, predicted, white: float) -> "_Asked":
         """What the light of component k is predicted to depend on, the largest around each pixel."""
         found = []
-        for m, probe, parts in zip(self.seen.materials, self._probes, predicted, strict=True):
+        for m, probe, parts in zip(self.seen.materials, self.probes, predicted, strict=True):
             if k >= len(parts):
                 continue
             weights = [jnp.mean(_weight(one.weight, probe.pixels), axis=1) for one in m.components]

@@ -27,6 +27,7 @@ PROGRAMS = (
     "operators",
     "indirect",
     "light_moves",
+    "adaptive",
     "fit_speed",
     "fit_materials",
     "fit_measured",

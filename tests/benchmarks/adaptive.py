@@ -1,0 +1,289 @@
+"""Adaptive shading against the same number of samples in every pixel: time at equal quality, and what it rests on."""
+
+import argparse
+import dataclasses
+import tempfile
+import time
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import stats
+
+import jaxrelight as jr
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.tabulated import Tabulated
+from jaxrelight.geometry.mesh import transformed
+from jaxrelight.images import srgb_encode
+from jaxrelight.images.tone import to_unit
+from jaxrelight.lighting.adaptive import AdaptiveShader, Plan
+from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
+from tests.benchmarks.measuring import Report, percent, shared
+
+MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply", "spot": "spot.obj"}
+MATERIALS = "RGL paint", "MERL surrogate", "two lobes"
+# Samples of the baseline; of what stands for the truth, filtered and with another seed.
+BASELINE, TRUTH, SEED = 1024, 4096, 7
+# Of displayed brightness 1: this quantile of the picture's radiance.
+WHITE = 0.97
+SCENE = """
+[camera]
+origin = [0, 0.75, 2.2]
+target = [0, 0.45, 0]
+fov_y = 30
+width = {size}
+height = {size}
+[environment]
+file = "{environment}"
+[material.any]
+type = "lambert"
+albedo = 0.5
+[[mesh]]
+file = "{mesh}"
+normalize = 1.0
+material = "any"
+"""
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.adaptive", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one small picture; RESULTS.md is left as it is")
+    parser.add_argument("--meshes", nargs="+", choices=MESHES, default=list(MESHES), help="some of them")
+    parser.add_argument("--materials", nargs="+", choices=MATERIALS, default=list(MATERIALS), help="some of them")
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    size, samples = (64, 256) if quick else (512, BASELINE)
+    meshes = ["spot"] if quick else arguments.meshes
+    materials = ["two lobes"] if quick else arguments.materials
+    parameters = f"{size}×{size}, Venice sunset, {samples} samples in every pixel against as few as are as good"
+    with Report("adaptive", "Shading where bandwidth asks", parameters, write=not quick) as report:
+        compare(report, meshes, materials, size, samples, shadows=False)
+        compare(report, meshes, materials, size, samples, shadows=True)
+        first = Case(meshes[0], materials[-1], size, samples, shadows=False)
+        probes(report, first)
+        correlations(report, first)
+
+
+class Case:
+    """One picture, its truth and its baseline."""
+
+    def __init__(self, mesh: str, material: str, size: int, samples: int, *, shadows: bool):
+        self.name, self.samples, self.shadows = f"{mesh}, {material}", samples, shadows
+        scene = scene_of(mesh, brdf_of(material), size, floor=shadows)
+        assert scene.environment is not None
+        self.light: LightPyramid = light_pyramid(scene.environment)
+        self.shader = AdaptiveShader(look_at(scene), scene.camera)
+        self.covered: Bool[np.ndarray, "h w"] = self.shader.seen.covered
+        self.truth = np.asarray(self.uniform(4 * samples, SEED, filtered=True))
+        self.white = float(np.quantile(self.truth[self.covered].mean(axis=1), WHITE))
+
+    def uniform(self, samples: int, seed: int = 0, *, filtered: bool = False):
+        """The same number in every pixel."""
+        return self.shader.uniform(self.light, samples, seed, filtered=filtered, shadows=self.shadows)
+
+    def plan(self, **dials) -> Plan:
+        """With this picture's white."""
+        return self.shader.plan(self.light, white=self.white, shadows=self.shadows, **dials)
+
+    def psnr(self, image) -> float:
+        """Of displayed values, from 0 to 1, of covered pixels."""
+        one, other = (srgb_encode(to_unit(np.asarray(x) / self.white))[self.covered] for x in (image, self.truth))
+        return float(-10 * np.log10(np.mean((one - other) ** 2)))
+
+
+def timed(function: Callable[[], object], runs: int = 1) -> tuple[np.ndarray, float]:
+    """What a function makes, and the least seconds, compiled before."""
+    image, best = jax.block_until_ready(function()), np.inf
+    for _ in range(runs):
+        start = time.perf_counter()
+        image = jax.block_until_ready(function())
+        best = min(best, time.perf_counter() - start)
+    return np.asarray(image), best
+
+
+def compare(report: Report, meshes, materials, size: int, samples: int, *, shadows: bool):
+    """The issue's first two rows of figures: time, samples and pixels at equal quality; quality at equal time."""
+    rows = []
+    for mesh in meshes:
+        for material in materials:
+            case = Case(mesh, material, size, samples, shadows=shadows)
+            # Compiled by a few samples, so that the long run is the one that counts.
+            jax.block_until_ready(case.uniform(16))
+            start = time.perf_counter()
+            image = jax.block_until_ready(case.uniform(samples))
+            baseline = time.perf_counter() - start
+            wanted = case.psnr(image)
+            rows.append([case.name, *_as_good(case, wanted, baseline, filtered=True)])
+            alone = _as_good(case, wanted, baseline, filtered=False)
+            even, seconds = _even_filtered(case, wanted)
+            rows[-1] += [alone[2], f"{baseline / seconds:.1f}× ({even})"]
+            rows[-1].insert(1, f"{baseline:.1f} s, {wanted:.1f} dB")
+    report.text(
+        ("With shadows, on a floor" if shadows else "Without shadows")
+        + ": the baseline's time and quality; samples of adaptive shading on average, its time, how many times faster; "
+        "samples used against the baseline's, pixels shaded, the share of the time that goes into prediction, and the "
+        "quality of the baseline in adaptive shading's time. Then how many times faster where samples look up single "
+        "texels, as the baseline's do, and where every pixel gets the same number of filtered samples."
+    )
+    heads = ["picture", "baseline", "samples", "time", "faster", "used", "shaded", "prediction", "equal time"]
+    report.table([*heads, "unfiltered", "even, filtered"], rows)
+
+
+def _as_good(case: Case, wanted: float, baseline: float, *, filtered: bool) -> list[str]:
+    """The first budget of a row of budgets, each √√2 of the last, whose picture is as good."""
+    budget = 16.0
+    while True:
+        plan = case.plan(samples=budget)
+        image = case.shader.shade(plan, case.light, filtered=filtered)
+        if case.psnr(image) >= wanted or budget > 2 * case.samples:
+            break
+        budget *= 2**0.25
+    plan, planning = _planned(case, budget)
+    _, shading = timed(lambda: case.shader.shade(plan, case.light, filtered=filtered), 2)
+    total, pixels = planning + shading, int(case.covered.sum())
+    per_sample = baseline / case.samples
+    equal = case.psnr(case.uniform(max(16, round(total / per_sample / 16) * 16))) if filtered else 0.0
+    return [
+        f"{plan.samples / pixels:.0f}",
+        f"{total:.2f} s",
+        f"{baseline / total:.1f}×",
+        percent(plan.samples / pixels / case.samples),
+        percent(plan.shaded / pixels),
+        percent(planning / total),
+        f"{equal:.1f} dB",
+    ]
+
+
+def _planned(case: Case, budget: float) -> tuple[Plan, float]:
+    case.plan(samples=budget)
+    start = time.perf_counter()
+    plan = case.plan(samples=budget)
+    return plan, time.perf_counter() - start
+
+
+def _even_filtered(case: Case, wanted: float) -> tuple[int, float]:
+    samples = 16
+    while case.psnr(case.uniform(samples, filtered=True)) < wanted and samples < 2 * case.samples:
+        samples = max(samples + 16, round(samples * 2**0.25 / 16) * 16)
+    return samples, timed(lambda: case.uniform(samples, filtered=True))[1]
+
+
+def probes(report: Report, case: Case):
+    """Samples that predict (figure 12)."""
+    rows = []
+    for count in (16, 64, 256, 1024):
+        jax.block_until_ready(case.shader.predicted(case.light, count))
+        start = time.perf_counter()
+        predicted = jax.block_until_ready(case.shader.predicted(case.light, count))
+        seconds = time.perf_counter() - start
+        plan = case.plan(samples=64, predicted=predicted)
+        quality = case.psnr(case.shader.shade(plan, case.light))
+        rows.append([str(count), f"{seconds:.2f} s", percent(plan.shaded / case.covered.sum()), f"{quality:.2f} dB"])
+    report.text(
+        f"{case.name}, 64 samples a pixel: by the number n_b of samples that predict, at a quarter of the pixels."
+    )
+    report.table(["n_b", "prediction", "shaded", "quality"], rows)
+
+
+def correlations(report: Report, case: Case):
+    """Prediction against measurement (figure 14)."""
+    predicted = case.shader.predicted(case.light)[0][0]
+    pixel = np.asarray(case.shader.probes[0].pixels.pixel)
+    real = pixel < case.covered.size
+    real &= interior(case.covered).ravel()[np.minimum(pixel, case.covered.size - 1)]
+    measured, ok = windowed_bandwidth(case.truth.mean(axis=2), case.covered, pixel[real])
+    found = {
+        name: stats.spearmanr(np.asarray(getattr(predicted, name))[real][ok], measured[ok])[0]
+        for name in ("image", "largest")
+    }
+    images = np.stack([np.asarray(case.uniform(16, seed)).mean(axis=2).ravel()[pixel[real]] for seed in range(1, 17)])
+    spread = images.var(axis=0)
+    for name in ("variance", "variance_of_bandwidth"):
+        found[name] = stats.spearmanr(np.asarray(getattr(predicted, name))[real], spread)[0]
+    report.text(
+        f"{case.name}: rank correlation of predicted and measured, in pixels off the silhouette. Bandwidth: the "
+        "frequency below which 95 % of the energy of a window of 32×32 pixels lies, its mean taken away; joined by the "
+        "average of eq. 4, and by the maximum of figure 6. Variance: of sixteen pictures of 16 samples; by second "
+        "moments, and by eq. 8."
+    )
+    names = {"image": "bandwidth, average", "largest": "maximum"}
+    names |= {"variance": "variance, moments", "variance_of_bandwidth": "eq. 8"}
+    report.table(["", *names.values()], [["rank correlation", *(f"{found[name]:.2f}" for name in names)]])
+
+
+def interior(covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Covered pixels 16 or more from what is not."""
+    from scipy import ndimage
+
+    return ndimage.binary_erosion(covered, iterations=16)
+
+
+def windowed_bandwidth(
+    image: Float[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"], pixel: np.ndarray, window: int = 32
+) -> tuple[Float[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
+    """Cycles per pixel, and where the whole window is covered."""
+    half, (h, w) = window // 2, covered.shape
+    y, x = pixel // w, pixel % w
+    inside = (y >= half) & (y < h - half) & (x >= half) & (x < w - half)
+    hann = np.hanning(window)[:, None] * np.hanning(window)
+    fy, fx = np.meshgrid(*[np.fft.fftfreq(window)] * 2, indexing="ij")
+    radius = np.hypot(fy, fx).ravel()
+    order = np.argsort(radius)
+    found, ok = np.zeros(len(pixel)), np.zeros(len(pixel), bool)
+    for i in np.flatnonzero(inside):
+        part = np.s_[y[i] - half : y[i] + half, x[i] - half : x[i] + half]
+        if not covered[part].all():
+            continue
+        values = image[part]
+        mean = (hann * values).sum() / hann.sum()
+        energy = np.abs(np.fft.fft2(hann * (values - mean))).ravel()[order] ** 2
+        total = np.cumsum(energy)
+        found[i], ok[i] = radius[order][np.searchsorted(total, 0.95 * total[-1])], total[-1] > 0
+    return found, ok
+
+
+def scene_of(mesh: str, brdf: Brdf, size: int, *, floor: bool = False) -> jr.Scene:
+    """A mesh in Venice, on a floor or in the air."""
+    files = {"mesh": shared("data", "mesh", MESHES[mesh]), "environment": shared("data", "env", "pmndrs_venice.exr")}
+    with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
+        file.write(SCENE.format(size=size, **files))
+        file.flush()
+        scene = jr.load_scene(file.name)
+    parts = [dataclasses.replace(part, material="skin") for part in scene.parts]
+    if floor:
+        parts.append(jr.Part(transformed(jr.plane([4, 4]), np.eye(4)), "floor"))
+    return dataclasses.replace(scene, parts=parts, materials={"skin": brdf, "floor": jr.lambert(0.5)})
+
+
+def brdf_of(material: str) -> Brdf:
+    """One of the three."""
+    if material == "RGL paint":
+        return jr.load_brdf(shared("data", "brdf", "rgl_cc_ibiza_sunset_rgb.bsdf")).brdf
+    if material == "two lobes":
+        wide = jr.lobe([-1, -1, 1], 40, specular=np.array([1.3, 1.2, 1.1]))
+        narrow = jr.lobe([-0.98, -0.98, 1], 400, peak=np.full(3, 5.8))
+        return jr.lobe_sum([0.12, 0.08, 0.06], [wide, narrow])
+    return _surrogate("color-changing-paint2")
+
+
+def _surrogate(name: str) -> Brdf:
+    """A network's values on MERL's grid: not a measurement."""
+    import jax.numpy as jnp
+
+    with np.load(shared("data", "brdf", "merl_nbrdf.npz")) as weights:
+        index = [str(one) for one in weights["names"]].index(name)
+        layers = [(weights[f"fc{i}"][index].astype(float), weights[f"b{i}"][index].astype(float)) for i in (1, 2, 3)]
+    half = ((np.arange(90) + 0.5) / 90) ** 2 * (np.pi / 2)
+    difference, around = (np.arange(90) + 0.5) / 90 * (np.pi / 2), (np.arange(180) + 0.5) / 180 * np.pi
+    h, d, p = np.meshgrid(half, difference, around, indexing="ij")
+    x = np.stack([np.sin(h), 0 * h, np.cos(h), np.sin(d) * np.cos(p), np.sin(d) * np.sin(p), np.cos(d)], axis=-1)
+    for i, (matrix, bias) in enumerate(layers):
+        x = x @ matrix + bias
+        x = np.maximum(x, 0) if i < 2 else np.maximum(np.exp(x) - 1, 0)
+    return Tabulated(jnp.asarray(x, jnp.float32))
+
+
+if __name__ == "__main__":
+    main()
