@@ -73,6 +73,12 @@ def adaptive_picture(
     notes(dict.fromkeys((*scene.notes, *(environment.notes if environment else ()))))
     if maps is not None and environment is None:
         raise InputError("--maps shows how an environment is sampled, and there is none; leave it out, or give --env")
+    if maps is not None:
+        # Found now rather than after the work.
+        try:
+            maps.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"--maps {maps}: {error.strerror}") from None
     with timed(seconds, "view"):
         seen = look_at(scene, minification)
     image, told = np.zeros((*seen.covered.shape, 3), np.float32), {}
@@ -118,14 +124,9 @@ def adaptive_picture(
 
 def _write_maps(folder: pathlib.Path, plan: "Plan", covered: "np.ndarray") -> dict[str, list[float]]:
     """Pictures of bandwidth, levels, samples and predicted error; and what their ends stand for."""
-    from jaxrelight.errors import InputError
     from jaxrelight.images import write_image
     from jaxrelight.images.false_colour import false_colour
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--maps {folder}: {error.strerror}") from None
     ends = {}
     for name, values in plan.maps().items():
         colours, ends[name] = false_colour(values, covered, octaves=name != "level")

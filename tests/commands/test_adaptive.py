@@ -1,0 +1,77 @@
+"""`render --lighting adaptive`: pictures without a store, by a budget or a quality, and maps of what was planned."""
+
+import numpy as np
+import pytest
+
+from jaxrelight import read_image, write_image
+from tests.commands.running import SCENE, refusal_of, run, summary_of
+
+LIGHT = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
+DARK = SCENE.replace('[environment]\nfile = "sky.exr"\n', "")
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    write_image("sky.exr", np.full((8, 16, 3), 0.5, np.float32))
+    for name, text in {"sky": SCENE, "lamp": DARK + LIGHT, "both": SCENE + LIGHT, "dark": DARK}.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+
+
+def picture(name: str, *dials) -> tuple[np.ndarray, dict]:
+    summary = summary_of(run("render", f"{name}.toml", "-o", "out.exr", "--lighting", "adaptive", *dials, "--json"))
+    assert summary["lighting"] == "adaptive"
+    pixels = read_image("out.exr")
+    assert 0.2 < summary["covered"] < 1
+    return np.where(pixels[..., 3:] > 0, pixels[..., :3], 0), summary
+
+
+def test_environment_lights_and_shadows_add_up():
+    (sky, told), (lamp, _) = picture("sky"), picture("lamp")
+    assert told["samples"] > 0
+    assert 0 < told["shaded"] <= 1
+    assert told["predicted_error"]["samples"] <= 0.01
+    np.testing.assert_allclose(picture("both")[0], sky + lamp, rtol=2e-3, atol=1e-4)
+    lit, _ = picture("both", "--no-shadows")
+    assert (lit >= sky + lamp - 0.02).all()
+    assert (lit > sky + lamp + 0.02).any()
+    np.testing.assert_allclose(picture("sky", "--scale", "2", "--exposure", "-1")[0], 2 * sky, rtol=1e-4)
+
+
+def test_budget_seed_and_maps(tmp_path):
+    sky, told = picture("sky", "--samples", "40", "--maps", "maps/of_it")
+    assert told["samples"] <= 44
+    again, _ = picture("sky", "--samples", "40")
+    np.testing.assert_array_equal(again, sky)
+    assert (picture("sky", "--samples", "40", "--seed", "1")[0] != sky).any()
+    for name in ("bandwidth", "level", "samples", "error"):
+        assert read_image(tmp_path / "maps" / "of_it" / f"{name}.png").shape[:2] == sky.shape[:2]
+        low, high = told["maps"][name]
+        assert 0 <= low <= high
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        ("sky.toml --samples 8 --tolerance 0.1", "--samples is a budget and --tolerance a quality"),
+        ("sky.toml --samples 0", "--samples is 0; it must be above 0"),
+        ("sky.toml --tolerance nan", "--tolerance is nan; it must be above 0"),
+        ("dark.toml", "the scene has no environment"),
+        ("lamp.toml --maps maps", "--maps shows how an environment is sampled"),
+        ("sky.toml --resolution 8", "--resolution is a dial of --lighting transport"),
+        ("sky.toml --store x", "--store is a dial of --lighting transport"),
+        ("sky.toml --photons 8", "--photons is a dial of --lighting indirect"),
+        ("sky.toml --layers", "--layers is a dial of --lighting indirect"),
+        ("sky.toml --texels reflectance", "--texels is a dial of --lighting prefiltered"),
+        ("sky.toml --maps sky.exr/x", "--maps sky.exr/x: "),
+    ],
+)
+def test_what_does_not_go_together_is_refused(arguments, what):
+    assert what in refusal_of(run("render", "-o", "out.exr", "--lighting", "adaptive", *arguments.split()))
+
+
+def test_maps_are_of_adaptive_lighting_alone():
+    assert "--maps is a dial of --lighting adaptive" in refusal_of(
+        run("render", "sky.toml", "-o", "o.exr", "--maps", "m")
+    )
