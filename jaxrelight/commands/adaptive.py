@@ -1,5 +1,7 @@
 """What `render --lighting adaptive` does: a picture without a store, shaded where bandwidth asks."""
 
+import dataclasses
+import math
 import pathlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -28,6 +30,7 @@ def adaptive_picture(
     maps: pathlib.Path | None,
     shadows: bool,
     minification: "Minification",
+    antialiasing: int,
     seed: int,
     seconds: dict[str, float],
     report: Callable[[str, int, int], None],
@@ -44,6 +47,7 @@ def adaptive_picture(
         maps: the folder for pictures of what was planned; None for none.
         shadows: whether surfaces hide lights from each other.
         minification: what is seen of texels smaller than pixels, see `look_at`.
+        antialiasing: samples of the surface in a pixel: 1, 4 or 16.
         seed: of samples.
         seconds: by stage; what is done here is added.
         report: hears of progress.
@@ -60,6 +64,7 @@ def adaptive_picture(
     from jaxrelight.errors import InputError
     from jaxrelight.images import write_image
     from jaxrelight.lighting.adaptive import AdaptiveShader
+    from jaxrelight.lighting.antialiasing import averaged
     from jaxrelight.lighting.prefiltered import look_at
     from jaxrelight.lights.pyramid import light_pyramid
 
@@ -79,15 +84,18 @@ def adaptive_picture(
             maps.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"--maps {maps}: {error.strerror}") from None
+    factor = math.isqrt(antialiasing)
+    camera = scene.camera
+    fine = dataclasses.replace(camera, width=factor * camera.width, height=factor * camera.height)
     with timed(seconds, "view"):
-        seen = look_at(scene, minification)
+        seen = look_at(dataclasses.replace(scene, camera=fine), minification)
     image, told = np.zeros((*seen.covered.shape, 3), np.float32), {}
     if environment is not None:
         notes(["adaptive: surfaces do not light each other"])
         with timed(seconds, "light"):
             pyramid = light_pyramid(environment)
         with timed(seconds, "materials"):
-            shader = AdaptiveShader(seen, scene.camera, report=report)
+            shader = AdaptiveShader(seen, fine, report=report, factor=factor)
         white = 2.0**-picture.exposure / max(environment.scale, 1e-30)
         if samples is None and tolerance is None:
             tolerance = _TOLERANCE
@@ -97,7 +105,7 @@ def adaptive_picture(
             radiance = jax.block_until_ready(shader.shade(plan, pyramid, seed, report=report))
         image = image + environment.scale * np.asarray(radiance)
         told = {
-            "samples": plan.samples / max(int(seen.covered.sum()), 1),
+            "samples": factor**2 * plan.samples / max(int(seen.covered.sum()), 1),
             "shaded": plan.shaded / max(int(seen.covered.sum()) * len(plan.layers), 1),
             "predicted_error": {"between_pixels": plan.interpolation, "samples": plan.noise},
         }
@@ -108,6 +116,8 @@ def adaptive_picture(
     if environment is not None and picture.background == "environment":
         image = np.where(seen.covered[..., None], image, np.asarray(seen.background(environment)))
     image = np.concatenate([image, seen.covered[..., None]], axis=-1, dtype=np.float32)
+    image = np.asarray(averaged(jax.numpy.asarray(image), factor))
+    shown = image[..., 3] > 0
     with timed(seconds, "write"):
         write_image(output, image, picture.exposure)
     return {
@@ -115,7 +125,7 @@ def adaptive_picture(
         "width": scene.camera.width,
         "height": scene.camera.height,
         "covered": float(seen.covered.mean()),
-        "mean_radiance": float(image[seen.covered][:, :3].mean()) if seen.covered.any() else 0.0,
+        "mean_radiance": float(image[shown][:, :3].mean()) if shown.any() else 0.0,
         "lights": len(scene.lights),
         **told,
         "versions": versions(),

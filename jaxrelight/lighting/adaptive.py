@@ -122,7 +122,9 @@ class Plan:
 class AdaptiveShader:
     """A camera's view, ready to be lit by environments."""
 
-    def __init__(self, seen: Seen, camera: Camera, parts: Parts | None = None, report: Report | None = None):
+    def __init__(
+        self, seen: Seen, camera: Camera, parts: Parts | None = None, report: Report | None = None, factor: int = 1
+    ):
         """Finds what draws directions for every BRDF, where it is not given; seconds for one that is no sum of lobes.
 
         Args:
@@ -130,8 +132,10 @@ class AdaptiveShader:
             camera: that one.
             parts: of another frame of the same materials.
             report: hears of progress.
+            factor: samples of the surface along each side of a picture's pixel; the view has as many times its rows
+                and columns. Prediction takes no longer for it.
         """
-        self.seen = seen
+        self.seen, self.factor = seen, factor
         if parts is None:
             brdfs = {id(one.brdf): one.brdf for material in seen.materials for one in material.components}
             made: dict[int, Sampled] = {}
@@ -153,11 +157,11 @@ class AdaptiveShader:
         self.probes = [self._probe(number, m, bend, eye) for number, m in enumerate(seen.materials)]
 
     def _probe(self, number: int, m: SeenMaterial, bend, eye) -> "_Probe":
-        """Every fourth pixel, and those that see another material than all of them around."""
+        """Every fourth of the picture's pixels, and those that see another material than all of them around."""
         every = np.zeros_like(self._material, bool)
-        every[::2, ::2] = True
+        every[:: 2 * self.factor, :: 2 * self.factor] = True
         mine = self._material == number
-        near = np.asarray(ndimage.maximum_filter(mine & every, 3, mode="constant"), bool)
+        near = np.asarray(ndimage.maximum_filter(mine & every, 2 * self.factor + 1, mode="constant"), bool)
         pixel = np.asarray(m.pixels.pixel)
         real = np.flatnonzero(pixel < mine.size)
         asked = real[(mine & (every | ~near)).ravel()[pixel[real]]]
@@ -213,7 +217,7 @@ class AdaptiveShader:
 
         Args:
             light: the environment.
-            samples: a mean over all pixels that show a surface.
+            samples: a mean over all of the picture's pixels that show a surface.
             tolerance: root-mean-square error of displayed values, which range from 0 to 1.
             white: the radiance that is displayed as 1.
             shadows: whether surfaces hide the environment.
@@ -241,9 +245,10 @@ class AdaptiveShader:
                     sum(layer.error for layer in layers) / pixels,
                     sum(layer.spread for layer in layers),
                     sum(layer.shaded for layer in layers) * RUN,
-                    samples and samples * pixels,
+                    samples and samples * pixels / self.factor**2,
                     tolerance,
                     pixels,
+                    pixels / self.factor**2,
                     noise,
                 )
             return tried[step].cost
@@ -370,7 +375,9 @@ class AdaptiveShader:
             )
             found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))
         image = _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
-        angular, spatial, contrast, visible, deviation, bandwidth = jnp.moveaxis(_most(image), -1, 0)
+        angular, spatial, contrast, visible, deviation, bandwidth = jnp.moveaxis(
+            _most(image, 2 * self.factor + 1), -1, 0
+        )
         kind = np.where(
             np.isin(self._material, [i for i, of in enumerate(self.parts) if k < len(of)]), self._material, -1
         )
@@ -433,7 +440,19 @@ class _CandidateLayer(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-    """One way to plan: mean error² of what lies between, what samples go by, and the fewest samples there can be."""
+    """One way to plan.
+
+    Attributes:
+        layers: where to shade.
+        error: mean error² of what lies between.
+        spread: what samples go by.
+        least: the fewest samples there can be.
+        given: samples in all, or None for a
+        tolerance: of the error.
+        pixels: of the view.
+        shown: of the picture, each of one or more of those.
+        noise: of samples.
+    """
 
     layers: list[_CandidateLayer]
     error: float
@@ -442,12 +461,18 @@ class _Candidate:
     given: float | None
     tolerance: float | None
     pixels: int
+    shown: float
     noise: Noise
 
     def error_of(self, budget: float) -> float:
-        """Mean error² of so many samples."""
+        """Mean error² of so many samples in the picture's pixels.
+
+        Each of those is a mean over as many samples of the surface as it has, whose noise is their own where they are
+        shaded, and the same where they lie between others.
+        """
         factor, power = self.noise
-        return factor * self.spread ** (1 + power) / self.pixels * max(budget, 1) ** -power
+        apart = max(self.least / RUN / self.shown, 1)
+        return factor * self.spread ** (1 + power) / (self.pixels * apart) * max(budget, 1) ** -power
 
     @property
     def budget(self) -> float:
@@ -532,7 +557,9 @@ def _weight(weight, pixels):
     return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
 
 
-@jax.jit
-def _most(image):
+@functools.partial(jax.jit, static_argnames="window")
+def _most(image, window: int):
     """The largest around each pixel."""
-    return jax.lax.reduce_window(image, -jnp.inf, jax.lax.max, (3, 3, 1), (1, 1, 1), "SAME")
+    for axis in ((window, 1, 1), (1, window, 1)):
+        image = jax.lax.reduce_window(image, -jnp.inf, jax.lax.max, axis, (1, 1, 1), "SAME")
+    return image

@@ -42,12 +42,17 @@ def nearest_pixels(
     return found
 
 
+def averaged(samples: Float[Array, "fh fw c"], factor: int) -> Float[Array, "h w c"]:
+    """The mean over each pixel's samples, so many along each side."""
+    h, w, c = samples.shape
+    return samples.reshape(h // factor, factor, w // factor, factor, c).mean(axis=(1, 3))
+
+
 def joined(
     direct: Float[Array, "fh fw c"], indirect: Float[Array, "h w c"], nearest: Int[Array, "fh fw"]
 ) -> Float[Array, "h w c"]:
     """The mean over each pixel's samples of direct light and the indirect light of the pixel that each is most like."""
     h, w, c = indirect.shape
-    factor = direct.shape[0] // h
     own = indirect.reshape(h * w, c).at[jnp.maximum(nearest, 0)].get(mode="promise_in_bounds")
     samples = direct + jnp.where((nearest >= 0)[..., None], own, 0)
-    return samples.reshape(h, factor, w, factor, c).mean(axis=(1, 3))
+    return averaged(samples, direct.shape[0] // h)

@@ -39,6 +39,16 @@ def test_environment_lights_and_shadows_add_up():
     np.testing.assert_allclose(picture("sky", "--scale", "2", "--exposure", "-1")[0], 2 * sky, rtol=1e-4)
 
 
+@pytest.mark.slow
+def test_surfaces_are_sampled_more_often_where_asked():
+    sky, _ = picture("sky", "--background", "none")
+    for count in (4, 16):
+        finer, _ = picture("sky", "--background", "none", "--antialiasing", str(count))
+        assert finer.shape == sky.shape
+        np.testing.assert_allclose(finer.mean(), sky.mean(), rtol=0.05)
+        assert (finer != sky).any()
+
+
 def test_budget_seed_and_maps(tmp_path):
     sky, told = picture("sky", "--samples", "40", "--maps", "maps/of_it")
     assert told["samples"] <= 44
@@ -71,7 +81,9 @@ def test_what_does_not_go_together_is_refused(arguments, what):
     assert what in refusal_of(run("render", "-o", "out.exr", "--lighting", "adaptive", *arguments.split()))
 
 
-def test_maps_are_of_adaptive_lighting_alone():
+def test_its_dials_are_its_own():
+    refused = run("render", "sky.toml", "-o", "o.exr", "--antialiasing", "4")
+    assert "--antialiasing is a dial of --lighting adaptive" in refusal_of(refused)
     assert "--maps is a dial of --lighting adaptive" in refusal_of(
         run("render", "sky.toml", "-o", "o.exr", "--maps", "m")
     )

@@ -17,6 +17,7 @@ from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_encode
 from jaxrelight.images.tone import to_unit
 from jaxrelight.lighting.adaptive import AdaptiveShader, display_slope
+from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.pyramid import cells, light_pyramid
 
@@ -124,6 +125,23 @@ def test_a_wire_one_pixel_wide_is_not_lost():
     red = exact[..., 0] > 4 * exact[..., 1] + 1e-3
     assert red.sum() > 10
     np.testing.assert_allclose(image[red], exact[red], rtol=0.15, atol=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [2, 4])
+def test_several_samples_of_surfaces_in_a_pixel(factor: int):
+    """The mean over them has the error that was asked for, and takes not as many times the samples."""
+    fine = dataclasses.replace(CAMERA, width=factor * 48, height=factor * 40)
+    seen = look_at(dataclasses.replace(ball_on_floor(), camera=fine))
+    one = AdaptiveShader(seen, fine, shader().parts, factor=factor)
+    plan = one.plan(sky(), tolerance=0.01)
+    exact, found = (
+        averaged(jnp.asarray(image), factor)
+        for image in (one.uniform(sky(), 1024, 7, filtered=True), one.shade(plan, sky()))
+    )
+    covered = np.asarray(averaged(jnp.asarray(seen.covered[..., None], jnp.float32), factor))[..., 0] > 0
+    assert off(found, exact, covered) < 0.013
+    assert plan.samples < 0.6 * factor**2 * shader().plan(sky(), tolerance=0.01).samples
 
 
 def test_maps_show_what_was_planned():
