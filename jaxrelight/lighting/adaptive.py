@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
+from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
@@ -378,9 +379,13 @@ class AdaptiveShader:
         angular, spatial, contrast, visible, deviation, bandwidth = jnp.moveaxis(
             _most(image, 2 * self.factor + 1), -1, 0
         )
-        kind = np.where(
-            np.isin(self._material, [i for i, of in enumerate(self.parts) if k < len(of)]), self._material, -1
-        )
+        kind = np.full(self._material.shape, -1, np.int32)
+        own = len(self.parts) + np.arange(kind.size, dtype=np.int32).reshape(kind.shape)
+        for number, parts in enumerate(self.parts):
+            if k < len(parts):
+                # What varies from texel to texel is not interpolated: each pixel is of its own kind.
+                alone = isinstance(parts[k].brdf, PackedLobes)
+                kind = np.where(self._material == number, own if alone else number, kind)
         features = Features(jnp.asarray(kind), self._mirrored, angular, self._position, spatial, contrast)
         return _Asked(k, hierarchy(features), visible, deviation, bandwidth)
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ import pytest
 
 from jaxrelight import Camera, Part, Scene, environment, lambert, phong, plane, sphere
 from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import transformed
@@ -113,6 +115,23 @@ def test_textures_ask_for_no_shading():
     number = number[number < plain[..., 0].size]
     share = sharp.reshape(-1, 3)[number] / plain.reshape(-1, 3)[number]
     assert (share.min(), share.max()) == (0, pytest.approx(1, abs=0.1))
+
+
+def test_texels_of_an_sbrdf_are_not_interpolated_between_pixels():
+    """Stripes of gloss, as fine as the pixels that see them."""
+    stripes = np.arange(64) % 2
+    arrays = {
+        "diffuse": np.where(stripes[:, None], 0.5, 0.05) * np.ones(3),
+        "C": np.tile([[[-1.0, -1, 1]]], (64, 1, 1)),
+        "exponent": np.where(stripes, 3.0, 200)[:, None],
+        "scale": np.full((64, 1, 3), 0.3),
+    }
+    maps: dict[str, Any] = {name: jnp.asarray(value, jnp.float32)[None] for name, value in arrays.items()}
+    spatial = SpatialLobes(**maps, axis=jnp.tile(jnp.asarray([1.0, 0.0]), (1, 64, 1)))
+    one = AdaptiveShader(look_at(ball_on_floor(floor=Material((Component(spatial),)))), CAMERA)
+    plan = one.plan(sky(), samples=64)
+    exact = one.uniform(sky(), 1024, 7, filtered=True)
+    assert off(one.shade(plan, sky()), exact, one.seen.covered) < 0.015
 
 
 def test_a_wire_one_pixel_wide_is_not_lost():
