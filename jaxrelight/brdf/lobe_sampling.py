@@ -51,11 +51,12 @@ class LobeSampler(eqx.Module):
 
     def at(self, choice: Float[Array, ""], u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
         """The direction that three numbers from 0 to 1 stand for: uniform ones, random or not, give its density."""
-        part = jnp.minimum(jnp.sum(jnp.cumsum(self.shares) <= choice), len(self.shares) - 1)
         # Written out, which is several times faster than look-ups and products of small matrices.
-        mine = jnp.arange(len(self.shares)) == part
-        exponent = jnp.sum(jnp.where(mine, self.exponents, 0))
-        frame = jnp.sum(jnp.where(mine[:, None, None], self.frames, 0), axis=0)
+        reached, exponent, frame = jnp.cumsum(self.shares), self.exponents[0], self.frames[0]
+        for k in range(1, len(self.shares)):
+            beyond = choice >= reached[k - 1]
+            exponent = jnp.where(beyond, self.exponents[k], exponent)
+            frame = jnp.where(beyond, self.frames[k], frame)
         # 1 − u, since u may be 0 but not 1.
         log_cosine = jnp.log1p(-u) / (exponent + 1)
         cosine, sine = jnp.exp(log_cosine), jnp.sqrt(-jnp.expm1(2 * log_cosine))
@@ -64,6 +65,9 @@ class LobeSampler(eqx.Module):
 
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle, over the whole sphere."""
-        cosine = jnp.sum(self.frames[:, 2] * omega_i, axis=1)
-        lobes = (self.exponents + 1) / (2 * math.pi) * safe.power(cosine, self.exponents)
-        return jnp.sum(self.shares * lobes)
+        # Written out: as a sum over an axis, XLA 0.10 for CPUs fuses it with those of a BRDF and makes both wrong.
+        density = jnp.zeros((), omega_i.dtype)
+        for share, frame, exponent in zip(self.shares, self.frames, self.exponents, strict=True):
+            cosine = frame[2, 0] * omega_i[0] + frame[2, 1] * omega_i[1] + frame[2, 2] * omega_i[2]
+            density += share * (exponent + 1) / (2 * math.pi) * safe.power(cosine, exponent)
+        return density

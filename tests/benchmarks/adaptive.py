@@ -12,20 +12,24 @@ from jaxtyping import Bool, Float
 from scipy import stats
 
 import jaxrelight as jr
+from jaxrelight.brdf.bandwidth import bandwidth_table, compressed
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.tabulated import Tabulated
 from jaxrelight.geometry.mesh import transformed
-from jaxrelight.images import srgb_encode
+from jaxrelight.images import srgb_decode, srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive import AdaptiveShader, Plan
+from jaxrelight.lighting.adaptive import AdaptiveShader, Parts, Plan
+from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
-from tests.benchmarks.measuring import Report, percent, shared
+from tests.benchmarks.measuring import RESULTS, Report, percent, shared
 
 MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply", "spot": "spot.obj"}
 MATERIALS = "RGL paint", "MERL surrogate", "two lobes"
 # Samples of the baseline; of what stands for the truth, filtered and with another seed.
 BASELINE, TRUTH, SEED = 1024, 4096, 7
+# Of whole frames.
+FRAME_TOLERANCE = 0.004
 # Of displayed brightness 1: this quantile of the picture's radiance.
 WHITE = 0.97
 SCENE = """
@@ -64,6 +68,10 @@ def main():
         first = Case(meshes[0], materials[-1], size, samples, shadows=False)
         probes(report, first)
         correlations(report, first)
+        antialiasing(report, meshes[0], materials[-1], size)
+        components(report, 64 if quick else 256)
+        lambert_alone(report, meshes[0], size)
+        extremes(report, 64 if quick else 256, write=not quick)
 
 
 class Case:
@@ -211,6 +219,113 @@ def correlations(report: Report, case: Case):
     names = {"image": "bandwidth, average", "largest": "maximum"}
     names |= {"variance": "variance, moments", "variance_of_bandwidth": "eq. 8"}
     report.table(["", *names.values()], [["rank correlation", *(f"{found[name]:.2f}" for name in names)]])
+
+
+def antialiasing(report: Report, mesh: str, material: str, size: int):
+    """Whole frames with one, four and sixteen samples of surfaces in a pixel (figure 15)."""
+    scene = scene_of(mesh, brdf_of(material), size)
+    assert scene.environment is not None
+    light, rows = light_pyramid(scene.environment), []
+    parts: Parts | None = None
+    for factor in (1, 2, 4):
+        camera = dataclasses.replace(scene.camera, width=factor * size, height=factor * size)
+        fine = dataclasses.replace(scene, camera=camera)
+        _frame(fine, light, parts, factor)
+        start = time.perf_counter()
+        image, shader, plan = _frame(fine, light, parts, factor)
+        jax.block_until_ready(image)
+        seconds = time.perf_counter() - start
+        parts = shader.parts
+        pixels = shader.seen.covered.sum() / factor**2
+        figures = f"{plan.samples / pixels:.0f}", percent(plan.shaded / shader.seen.covered.sum())
+        rows.append([str(factor**2), f"{seconds:.2f} s", *figures, seconds])
+    report.text(
+        f"{mesh}, {material}, tolerance {FRAME_TOLERANCE}: whole frames, with tracing, by samples of surfaces in a "
+        "pixel."
+    )
+    table = [[*row[:-1], f"{row[-1] / rows[0][-1]:.2f}×"] for row in rows]
+    report.table(["samples of surfaces", "frame", "samples of light", "shaded", "of one"], table)
+
+
+def _frame(scene: jr.Scene, light: LightPyramid, parts: Parts | None, factor: int):
+    shader = AdaptiveShader(look_at(scene), scene.camera, parts, factor=factor)
+    plan = shader.plan(light, tolerance=FRAME_TOLERANCE)
+    return averaged(shader.shade(plan, light), factor), shader, plan
+
+
+def components(report: Report, resolution: int):
+    """What principal components leave out of the tables of bandwidth (figure 8)."""
+    brdf = brdf_of("RGL paint")
+    seconds = time.perf_counter()
+    table = bandwidth_table(brdf, resolution)
+    seconds = time.perf_counter() - seconds
+    counts = [k for k in (1, 2, 4, 8, 12) if k < len(table.values)]
+    report.text(
+        f"Bandwidth of the RGL paint, {' × '.join(map(str, table.values.shape))} from slices of {resolution}², made in "
+        f"{seconds:.1f} s: error of what so many principal components leave, root mean square relative to the table."
+    )
+    report.table(["components", *map(str, counts)], [["error", *(percent(compressed(table, k)[1]) for k in counts)]])
+
+
+def lambert_alone(report: Report, mesh: str, size: int):
+    """Nothing varies: hardly a pixel is shaded."""
+    scene = scene_of(mesh, jr.lambert(0.6), size)
+    light = light_pyramid(jr.environment(np.ones((16, 32, 3), np.float32)))
+    seen = look_at(scene)
+    shader = AdaptiveShader(seen, scene.camera)
+    plan = shader.plan(light, tolerance=0.01)
+    image, facing = np.asarray(shader.shade(plan, light)), seen.covered.copy()
+    facing[seen.covered] = np.sum(seen.gbuffer.normals * seen.gbuffer.omega_o, axis=1) > 0
+    worst = float(np.abs(image[facing] / 0.6 - 1).max())
+    report.text(f"{mesh}, Lambert under a constant sky: largest relative error {worst:.1e}, "
+                f"{percent(plan.shaded / seen.covered.sum())} of the pixels shaded.")  # fmt: skip
+
+
+def extremes(report: Report, size: int, *, write: bool):
+    """Where predictions could fail, against many samples everywhere."""
+    step = np.where(np.arange(512) < 256, 0.02, 1.0)[None, :, None] * np.ones((256, 1, 3))
+    sun = np.full((256, 512, 3), 0.1)
+    sun[60, 100] = 1e5
+    ball, wires = jr.sphere(0.5, 64), [transformed(jr.plane([0.004, 2]), turned(x)) for x in np.linspace(-0.6, 0.6, 9)]
+    floor = jr.Part(jr.plane([40, 40]), "skin")
+    mirror, soft = jr.phong(0.05, 0.6, 1e4), jr.phong(0.3, 0.3, 40)
+    cases = {
+        "a sky of two halves, exponent 1e4": (step, mirror, [jr.Part(ball, "skin")]),
+        "a sun of 1e5, exponent 40": (sun, soft, [jr.Part(ball, "skin"), jr.Part(jr.plane([4, 4]), "skin")]),
+        "wires, thinner than a pixel": (step, soft, [jr.Part(one, "skin") for one in wires]),
+        "a floor to the horizon": (step, soft, [jr.Part(ball, "skin"), floor]),
+    }
+    rows, pictures = [], []
+    for name, (sky, brdf, parts) in cases.items():
+        camera = jr.Camera((0.1, 0.3, 2.2), (0, 0.1, 0), (0, 1, 0), 40, size, size)
+        shader = AdaptiveShader(look_at(jr.Scene(parts, {"skin": brdf}, camera, name=name)), camera)
+        light = light_pyramid(jr.environment(sky.astype(np.float32)))
+        plan = shader.plan(light, tolerance=0.01, shadows=True)
+        found = np.asarray(shader.shade(plan, light))
+        exact = np.asarray(shader.uniform(light, 4096, SEED, filtered=True, shadows=True))
+        one, other = (srgb_encode(to_unit(image)) for image in (found, exact))
+        error, covered = np.abs(one - other).max(axis=2), shader.seen.covered
+        rms = float(np.sqrt(np.mean((one - other)[covered] ** 2)))
+        lost = int(np.count_nonzero(error > 0.25))
+        pixels = covered.sum()
+        figures = f"{plan.samples / pixels:.0f}", percent(plan.shaded / pixels), f"{rms:.4f}", f"{error.max():.2f}"
+        rows.append([name, *figures, str(lost)])
+        pictures.append(np.concatenate([one, np.repeat(np.clip(10 * error, 0, 1)[..., None], 3, axis=2)], axis=0))
+    report.text(
+        "Extremes, tolerance 0.01, with shadows: samples of a pixel, pixels shaded, root-mean-square error of "
+        "displayed values against 4,096 samples everywhere, the worst pixel's, and pixels that are off by more than a "
+        "quarter."
+    )
+    report.table(["", "samples", "shaded", "error", "worst", "lost"], rows)
+    if write:
+        path = RESULTS.with_name("adaptive_extremes.png")
+        jr.write_image(path, srgb_decode(np.concatenate(pictures, axis=1)).astype(np.float32))
+        report.text(f"![Four extremes, and ten times their error]({path.name})")
+
+
+def turned(x: float) -> np.ndarray:
+    """A plane that is upright, and x to the right."""
+    return np.array([[1, 0, 0, x], [0, 0, -1, 0.2], [0, 1, 0, 0], [0, 0, 0, 1.0]])
 
 
 def interior(covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

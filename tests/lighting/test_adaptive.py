@@ -56,8 +56,9 @@ def off(image, other, covered) -> float:
     return float(np.sqrt(np.mean((one - two) ** 2)))
 
 
-@pytest.mark.parametrize("shadows", [False, True])
-@pytest.mark.parametrize("tolerance", [0.02, 0.006])
+@pytest.mark.parametrize(
+    ("shadows", "tolerance"), [(False, 0.006), pytest.param(False, 0.02, marks=pytest.mark.slow), (True, 0.02)]
+)
 def test_the_error_is_what_was_asked_for(shadows: bool, tolerance: float):
     plan = shader().plan(sky(), tolerance=tolerance, shadows=shadows)
     found = off(shader().shade(plan, sky()), wanted(shadows), shader().seen.covered)

@@ -9,10 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight import Camera, Part, Scene, ashikhmin_shirley, environment, lambert, phong, plane, sphere
+from jaxrelight import (
+    Camera,
+    Part,
+    Scene,
+    ashikhmin_shirley,
+    environment,
+    lambert,
+    lobe,
+    lobe_sum,
+    phong,
+    plane,
+    sphere,
+)
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.half_sampling import half_vectors
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.lighting.estimate import RUN, estimate
 from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
 from jaxrelight.lighting.random_numbers import MOST
@@ -48,6 +61,23 @@ def test_lambert_under_a_constant_sky_is_exact():
     found = estimate(sampled(lambert(0.6)), sky(True), view().pixels, counts(RUN))
     np.testing.assert_allclose(np.asarray(found)[view().real], 0.6, rtol=1e-5)
     assert not np.asarray(found)[~view().real].any()
+
+
+LOBES = {
+    "one": phong(0.2, 0.5, 40),
+    "turned": lobe_sum(0.1, [lobe([-1, -0.3, 0.8], 8, peak=1), lobe([-1, -1, 1], 3, peak=0.2)], turn=0.7),
+    "by channel": lobe_sum([0.1, 0.2, 0.3], [lobe(-np.eye(3) + 0.1, [5, 10, 2.5], peak=[0.2, 0.5, 0.3])]),
+    "two": lobe_sum([0.1, 0.2, 0.3], [lobe([-1, -1, 1], 40, peak=1), lobe([-0.98, -0.98, 1], 400, peak=3)]),
+}
+
+
+@pytest.mark.parametrize("name", LOBES)
+def test_under_a_white_sky_they_are_the_albedo(name: str):
+    """By another quadrature: nothing is lost of what lies below the surface, of turned lobes or of channels."""
+    found = np.asarray(estimate(sampled(LOBES[name]), sky(True), view().pixels, counts(1024)))[view().real]
+    omega_o = view().pixels.omega_o[np.flatnonzero(view().real)]
+    wanted = np.asarray(jax.vmap(lambda one: directional_albedo(LOBES[name], one, 256, 256))(omega_o))
+    np.testing.assert_allclose(found, wanted, rtol=0.01)
 
 
 @pytest.mark.parametrize("brdf", [phong(0.2, 0.5, 40), ashikhmin_shirley(0.2, 0.4, 30, 30)])
