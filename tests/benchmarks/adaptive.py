@@ -56,6 +56,7 @@ def main():
     parser.add_argument("--quick", action="store_true", help="one small picture; RESULTS.md is left as it is")
     parser.add_argument("--meshes", nargs="+", choices=MESHES, default=list(MESHES), help="some of them")
     parser.add_argument("--materials", nargs="+", choices=MATERIALS, default=list(MATERIALS), help="some of them")
+    parser.add_argument("--without-shadows", action="store_true", help="leave out the pictures with shadows")
     arguments = parser.parse_args()
     quick = arguments.quick
     size, samples = (64, 256) if quick else (512, BASELINE)
@@ -64,7 +65,8 @@ def main():
     parameters = f"{size}×{size}, Venice sunset, {samples} samples in every pixel against as few as are as good"
     with Report("adaptive", "Shading where bandwidth asks", parameters, write=not quick) as report:
         compare(report, meshes, materials, size, samples, shadows=False)
-        compare(report, meshes, materials, size, samples, shadows=True)
+        if not arguments.without_shadows:
+            compare(report, meshes, materials, size, samples, shadows=True)
         first = Case(meshes[0], materials[-1], size, samples, shadows=False)
         probes(report, first)
         correlations(report, first)
@@ -112,7 +114,7 @@ def timed(function: Callable[[], object], runs: int = 1) -> tuple[np.ndarray, fl
 
 
 def compare(report: Report, meshes, materials, size: int, samples: int, *, shadows: bool):
-    """The issue's first two rows of figures: time, samples and pixels at equal quality; quality at equal time."""
+    """Time, samples and pixels at equal quality; quality at equal time (figure 11)."""
     rows = []
     for mesh in meshes:
         for material in materials:
