@@ -80,7 +80,9 @@ def test_under_a_white_sky_they_are_the_albedo(name: str):
     np.testing.assert_allclose(found, wanted, rtol=0.01)
 
 
-@pytest.mark.parametrize("brdf", [phong(0.2, 0.5, 40), ashikhmin_shirley(0.2, 0.4, 30, 30)])
+@pytest.mark.parametrize(
+    "brdf", [phong(0.2, 0.5, 40), pytest.param(ashikhmin_shirley(0.2, 0.4, 30, 30), marks=pytest.mark.slow)]
+)
 def test_filtered_or_not_many_samples_agree(brdf):
     part = sampled(brdf)
     one = np.asarray(estimate(part, sky(), view().pixels, counts(4096), filtered=False))
