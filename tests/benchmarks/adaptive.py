@@ -315,8 +315,8 @@ def extremes(report: Report, size: int, *, write: bool):
         pictures.append(np.concatenate([one, np.repeat(np.clip(10 * error, 0, 1)[..., None], 3, axis=2)], axis=0))
     report.text(
         "Extremes, tolerance 0.01, with shadows: samples of a pixel, pixels shaded, root-mean-square error of "
-        "displayed values against 1,024 filtered samples everywhere, the worst pixel's, and pixels that are off by more than a "
-        "quarter."
+        "displayed values against 1,024 filtered samples everywhere, the worst pixel's, and pixels that are off by "
+        "more than a quarter."
     )
     report.table(["", "samples", "shaded", "error", "worst", "lost"], rows)
     if write:
