@@ -84,12 +84,14 @@ class Plan:
     """Where to shade, and how well.
 
     Attributes:
-        layers: of components.
+        shape: rows and columns of the view.
+        layers: of components; none where no surface is seen.
         interpolation: root-mean-square error of displayed values that is predicted for what lies between.
         noise: that of samples.
         shadows: whether surfaces hide the environment.
     """
 
+    shape: tuple[int, int]
     layers: tuple[Layer, ...]
     interpolation: float
     noise: float
@@ -111,6 +113,8 @@ class Plan:
         Bandwidth in cycles per pixel; the level of each pixel's parents, 0 where it is shaded; samples; and the error
         that is predicted, in displayed values.
         """
+        if not self.layers:
+            return {name: np.zeros(self.shape) for name in ("bandwidth", "level", "samples", "error")}
         layers = self.layers
         return {
             "bandwidth": np.max([layer.bandwidth for layer in layers], axis=0),
@@ -264,7 +268,8 @@ class AdaptiveShader:
             Layer(layer.between, each, one.bandwidth, one.deviation, noise)
             for one, layer, each in zip(asked, best.layers, counts, strict=True)
         ]
-        return Plan(tuple(layers), float(np.sqrt(best.error)), float(np.sqrt(best.error_of(best.budget))), shadows)
+        between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
+        return Plan(self.seen.covered.shape, tuple(layers), between, noisy, shadows)  # pyright: ignore[reportArgumentType]
 
     def shade(
         self,

@@ -2,6 +2,10 @@
 
 Every sample is a direction drawn by the BRDF, at which the environment's pyramid tells mean, square and bandwidth of
 all the directions that it stands for. So few samples say what many would.
+
+Shadows are not known by bandwidth alone: where some samples of a pixel are hidden and others are not, an edge lies
+between. It has all frequencies, so the BRDF decides what is left of them: in angle, and by how far away what hides them
+is, along the surface.
 """
 
 from typing import NamedTuple

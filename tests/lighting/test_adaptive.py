@@ -92,6 +92,21 @@ def test_lambert_under_a_constant_sky_is_exact_and_hardly_shaded():
     assert plan.shaded < 0.01 * seen.covered.sum()
 
 
+def test_nothing_to_see_is_a_plan_too():
+    away = dataclasses.replace(CAMERA, target=(0.2, 1.2, 9.0))
+    seen = look_at(Scene([Part(sphere(1, 24), "skin")], {"skin": lambert(0.6)}, away, name="ball"))
+    one = AdaptiveShader(seen, away)
+    plan = one.plan(sky(), tolerance=0.01, shadows=True)
+    assert plan.samples == plan.shaded == 0
+    assert not any(of.any() for of in plan.maps().values())
+    assert not np.asarray(one.shade(plan, sky())).any()
+    # As dark as can be, and seen.
+    black = light_pyramid(environment(np.zeros((8, 16, 3), np.float32)))
+    plan = shader().plan(black, tolerance=0.01, shadows=True)
+    assert not np.asarray(shader().shade(plan, black)).any()
+    assert all(np.isfinite(of).all() for of in plan.maps().values())
+
+
 def test_the_same_seed_is_the_same_image():
     plan = shader().plan(sky(), samples=16)
     one = np.asarray(shader().shade(plan, sky(), 3))
