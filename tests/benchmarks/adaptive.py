@@ -62,7 +62,10 @@ def main():
     size, samples = (64, 256) if quick else (512, BASELINE)
     meshes = ["spot"] if quick else arguments.meshes
     materials = ["two lobes"] if quick else arguments.materials
-    parameters = f"{size}×{size}, Venice sunset, {samples} samples in every pixel against as few as are as good"
+    parameters = (
+        f"{size}×{size}, Venice sunset, {samples} samples in every pixel against as few as are as good; "
+        f"{', '.join(meshes)} × {', '.join(materials)}{', without shadows alone' * arguments.without_shadows}"
+    )
     with Report("adaptive", "Shading where bandwidth asks", parameters, write=not quick) as report:
         compare(report, meshes, materials, size, samples, shadows=False)
         if not arguments.without_shadows:
