@@ -129,18 +129,31 @@ def hierarchy(features: Features) -> Hierarchy:
     rates = _whole(jnp.stack([features.angular, features.spatial, features.contrast]))
     kinds = _whole(features.kind, -1)
     error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, rates.dtype)
-    weights = []
+    weights, most = [], [rates]
+    for level in range(LEVELS - 1):
+        most.append(_most_within(most[-1], kinds, 1 << level))
     for level in range(LEVELS - 1, -1, -1):
         theirs = [_wider(_lattice(x, level + 1)) for x in (place, rates)] + [_wider(_lattice(kinds, level + 1), -1)]
         errors = [error]
         for offset, parents in _KINDS:
-            own = [_lattice(x, level, offset) for x in (place, axes, rates, kinds)]
+            own = [_lattice(x, level, offset) for x in (place, axes, most[level], kinds)]
             found, wrong = _between(own, theirs, offset, parents)
             errors.append(wrong)
             weights.append(found)
         error = _woven(errors)
     tolerance = jnp.zeros((), error.dtype)
     return Hierarchy(features.kind >= 0, error[:h, :w], tuple(weights), tolerance)
+
+
+def _most_within(rates, kinds, step: int):
+    """The largest of each pixel and those of its kind a step away: an edge asks for all pixels whose parents span it."""
+    for axis in (-2, -1):
+        sides = []
+        for way in (-step, step):
+            there = jnp.roll(kinds, way, axis) == kinds
+            sides.append(jnp.where(there, jnp.roll(rates, way, axis), 0))
+        rates = jnp.maximum(rates, jnp.maximum(*sides))
+    return rates
 
 
 def _between(own, theirs, offset, parents):
