@@ -146,7 +146,7 @@ def hierarchy(features: Features) -> Hierarchy:
 
 
 def _most_within(rates, kinds, step: int):
-    """The largest of each pixel and those of its kind a step away: an edge asks for all pixels whose parents span it."""
+    """The largest of each pixel and its kind a step away: an edge asks for all pixels whose parents span it."""
     for axis in (-2, -1):
         sides = []
         for way in (-step, step):
