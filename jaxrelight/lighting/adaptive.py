@@ -307,7 +307,7 @@ class AdaptiveShader:
                 m = self.seen.materials[number]
                 weight = _weight(m.components[k].weight, m.pixels)
                 found[number] += weight * image.at[m.pixels.pixel].get(mode="fill", fill_value=0)
-        return self.seen.image(found)
+        return self.seen.image(found) + self._sunlight(light, plan.shadows)
 
     def uniform(
         self, light: LightPyramid, samples: int, seed: int = 0, *, filtered: bool = False, shadows: bool = False
@@ -321,7 +321,11 @@ class AdaptiveShader:
                 given = estimate(part, light, m.pixels, counts, seed, filtered, self._blocked(m, shadows))
                 radiance += given * _weight(component.weight, m.pixels)
             found.append(radiance)
-        return self.seen.image(found)
+        return self.seen.image(found) + self._sunlight(light, shadows)
+
+    def _sunlight(self, light: LightPyramid, shadows: bool) -> Float[Array, "h w 3"]:
+        """A few directions, in every pixel: no sample would find them."""
+        return self.seen.lit_by([light.turned_sun()], shadows)
 
     def _noise(self, light: LightPyramid, asked: Sequence["_Asked"], shadows: bool) -> Noise:
         """Tried out on few pixels: skies and materials differ in how soon samples meet all there is."""

@@ -130,10 +130,11 @@ def hierarchy(features: Features) -> Hierarchy:
     kinds = _whole(features.kind, -1)
     error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, rates.dtype)
     weights, most = [], [rates]
-    for level in range(LEVELS - 1):
+    for level in range(LEVELS):
         most.append(_most_within(most[-1], kinds, 1 << level))
     for level in range(LEVELS - 1, -1, -1):
-        theirs = [_wider(_lattice(x, level + 1)) for x in (place, rates)] + [_wider(_lattice(kinds, level + 1), -1)]
+        reach = jnp.stack([most[level], most[level + 1]])
+        theirs = [_wider(_lattice(x, level + 1)) for x in (place, reach)] + [_wider(_lattice(kinds, level + 1), -1)]
         errors = [error]
         for offset, parents in _KINDS:
             own = [_lattice(x, level, offset) for x in (place, axes, most[level], kinds)]
@@ -161,18 +162,22 @@ def _between(own, theirs, offset, parents):
     place, axes, (angular, spatial, contrast), kind = own
 
     def parent(given):
-        (y, x), image = given
-        other, other_rates, other_kind = (_moved(wider, y, x) for wider in theirs)
+        (y, x), image, far = given
+        other, reach, other_kind = (_moved(wider, y, x) for wider in theirs)
+        # What lies between both is within reach of one of them.
+        other_rates = jnp.where(far, reach[1], reach[0])
         turned, moved = other[:3] - place[:3], other[3:] - place[3:]
         x, y = (angular * _sum(turned * axis) for axis in (axes[:3], axes[3:]))
-        # Where all is hidden no edge is found; the one between is told by the parent.
-        square = x**2 + y**2 + _sum(moved**2) * jnp.maximum(spatial, other_rates[1]) ** 2
+        most_angular, most_spatial = (jnp.maximum(*pair) for pair in ((angular, other_rates[0]), (spatial, other_rates[1])))
+        square = _sum(turned**2) * most_angular**2 + _sum(moved**2) * most_spatial**2
         usable = (other_kind == kind) & (_sum(turned**2) < _MOST_TURNED**2)
         near = jnp.where(usable, jnp.exp(-square / _REACH**2 - image), 0)
         return near, x, y, square, other_rates[2]
 
     image = _IMAGE * np.sum(np.square(parents), axis=1)
-    near, x, y, square, brought = jax.lax.map(parent, (_corners(offset, parents), jnp.asarray(image, jnp.float32)))
+    far = np.max(np.abs(parents), axis=1) > 1
+    given = _corners(offset, parents), jnp.asarray(image, jnp.float32), jnp.asarray(far)
+    near, x, y, square, brought = jax.lax.map(parent, given)
     total, weights, left = _linear(near, x, y)
     wrong = 2 * np.pi * left + 0.25 * (2 * np.pi) ** 2 * _sum(jnp.abs(weights) * square)
     most = jnp.maximum(contrast, _sum(jnp.abs(weights) * brought))

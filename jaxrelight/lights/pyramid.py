@@ -9,6 +9,8 @@ from jaxtyping import Array, Float
 from jaxrelight.basis import latlong
 from jaxrelight.basis.local_frequency import around_sphere, local_frequency
 from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.sky import Sky
+from jaxrelight.lights.sun import without_sun
 
 # Rows of the finest level of what predicts: it needs no finer map.
 _ROWS = 512
@@ -60,12 +62,21 @@ class LightPyramid(eqx.Module):
     Attributes:
         radiance: three channels.
         detail: radiance, its square, and radiance times bandwidth in cycles per radian, of the mean of the channels.
+        sun: what outshines all that by far is not among it; as the environment is turned by 0.
         turn: by which it is turned about +y, as a part of the circle.
     """
 
     radiance: Cells
     detail: Cells
+    sun: Sky
     turn: Float[Array, ""]
+
+    def turned_sun(self) -> Sky:
+        """The sun's directions in the world."""
+        angle = 2 * np.pi * self.turn
+        cosine, sine = jnp.cos(angle), jnp.sin(angle)
+        x, y, z = self.sun.directions.T
+        return Sky(jnp.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=1), self.sun.irradiance)
 
     def radiance_at(self, omega: Float[Array, "3"], solid_angle: Float[Array, ""] | None = None) -> Float[Array, "3"]:
         """Mean radiance of about a solid angle around a direction; without one, of its texel."""
@@ -96,14 +107,14 @@ def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g 
 
 def light_pyramid(environment: Environment) -> LightPyramid:
     """Of an environment, turned as it is; its `scale` is left to whoever looks up."""
-    pixels = np.asarray(environment.pixels, np.float32)
+    pixels, sun = without_sun(np.asarray(environment.pixels, np.float32))
     bandwidth = light_bandwidth(pixels)
     grey = pixels.mean(axis=2, keepdims=True)
     finest = latlong.resized(np.concatenate([grey, grey**2], axis=2), len(bandwidth), 2 * len(bandwidth))
     finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None]], axis=2)
     rows = min(len(bandwidth), _ROWS)
     detail = cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
-    return LightPyramid(cells(pixels), detail, jnp.asarray(environment.rotate_y / 360, jnp.float32))
+    return LightPyramid(cells(pixels), detail, sun, jnp.asarray(environment.rotate_y / 360, jnp.float32))
 
 
 def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from jaxrelight import Camera, Part, Scene, environment, lambert, phong, plane, sphere
+from jaxrelight.basis import latlong
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
@@ -21,6 +22,7 @@ from jaxrelight.images.tone import to_unit
 from jaxrelight.lighting.adaptive import AdaptiveShader, display_slope
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lights.local import directional
 from jaxrelight.lights.pyramid import cells, light_pyramid
 
 CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 48, 40)
@@ -112,6 +114,26 @@ def test_the_same_seed_is_the_same_image():
     one = np.asarray(shader().shade(plan, sky(), 3))
     np.testing.assert_array_equal(shader().shade(plan, sky(), 3), one)
     assert np.abs(np.asarray(shader().shade(plan, sky(), 4)) - one).max() > 0
+
+
+def test_a_sun_is_lit_by_a_few_directions_in_every_pixel():
+    """Against the two parts of the sky, each by itself, and against the shadow of a distant light."""
+    pixels = np.full((256, 512, 3), 0.2, np.float32)
+    pixels[80, 160] = 1e5
+    v, u = (np.array([80.5, 160.5]) / [256, 512]).astype(np.float32)
+    towards, area = latlong.directions(u, v), latlong.solid_angles(256, 512)[80]
+    light, even = light_pyramid(environment(pixels)), light_pyramid(environment(np.full_like(pixels, 0.2)))
+    plan = shader().plan(light, tolerance=0.01, shadows=True)
+    found = np.asarray(shader().shade(plan, light))
+    sun = np.asarray(shader().seen.lit_by([directional(-towards, float(1e5 * area))]))
+    wanted = np.asarray(shader().uniform(even, 512, 7, shadows=True)) + sun
+    covered = shader().seen.covered
+    assert off(found, wanted, covered) < 0.02
+    # Of the floor, some lies in the shadow, and only the sky is left.
+    dark = covered & (sun.max(axis=2) == 0)
+    assert dark.sum() > 50
+    assert found[dark].max() < 0.5
+    np.testing.assert_array_equal(np.asarray(shader().uniform(light, 16, shadows=False))[~covered], 0)
 
 
 def test_textures_ask_for_no_shading():

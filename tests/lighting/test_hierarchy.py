@@ -105,3 +105,15 @@ def test_levels_say_what_lies_between():
     assert levels[0, 2 ** (LEVELS - 1)] == LEVELS
     assert levels[1, 1] == levels[0, 1] == 1
     assert ((levels == 0) == np.asarray(between.shaded)).all()
+
+
+@pytest.mark.parametrize("place", [15.5, 23.7, 31.5, 40.2])
+@pytest.mark.parametrize("way", [(1.0, 0.0), (0.0, 1.0), (0.8, 0.6)])
+def test_an_edge_is_not_bridged(place: float, way: tuple[float, float]):
+    """A step, seen by a band of five pixels beside it: none of all others lie between parents on both of its sides."""
+    y, x = np.mgrid[:H, :W]
+    away = way[0] * x + way[1] * y - place
+    image = np.where(away > 0, 1, 0.25).astype(np.float32)
+    between = hierarchy(features(angular=np.where(np.abs(away) < 2.5, 40, 0.05))).within(0.02)
+    assert float(between.shaded.mean()) < 0.25
+    np.testing.assert_allclose(between.filled(jnp.asarray(image)[..., None])[..., 0], image, atol=0.02)

@@ -75,3 +75,20 @@ def test_differentiable_in_pixels():
     # Means' weights sum to 1 for each of two look-ups and three channels.
     np.testing.assert_allclose(gradient.sum(), 6, rtol=1e-5)
     assert (gradient >= 0).all()
+
+
+@pytest.mark.parametrize("degrees", [0.0, 70.0])
+def test_a_sun_is_split_off_and_turns_with_the_map(degrees: float):
+    pixels = noise(128)
+    pixels[40, 100] = 1e5
+    light = light_pyramid(environment(pixels, rotate_y=degrees))
+    sun = light.turned_sun()
+    towards = jnp.asarray(np.asarray(sun.irradiance).sum(axis=1) @ np.asarray(sun.directions))
+    towards /= jnp.linalg.norm(towards)
+    # What is left there is no brighter than all else, and is where the sun was.
+    assert light.radiance.values.max() < 4
+    u, v = latlong.finite_coordinates(towards)
+    place = np.array([(float(u) + degrees / 360) % 1 * 256, float(v) * 128])
+    np.testing.assert_allclose(place, [100.5, 40.5], atol=0.05)
+    energy = latlong.solid_angles(128, 256)[40] * 1e5
+    np.testing.assert_allclose(np.asarray(sun.irradiance).sum(axis=0), energy, rtol=1e-3)

@@ -8,7 +8,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.lights.environment import coarsened, encode
-from jaxrelight.lights.sun import MOST, split_sun
+from jaxrelight.lights.sun import MOST, split_sun, without_sun
 from tests.shared_data import shared
 
 SKY = np.random.default_rng(3).uniform(0.5, 1.5, (6 * 8**2, 3)).astype(np.float32)
@@ -71,3 +71,49 @@ def test_suns_of_photographs(name, has_sun):
     resampling = latlong.area_resampling(*pixels.shape[:2], 64)
     for degrees in (0.0, 0.7, 33.3):
         assert np.asarray(split(degrees).radiance).any() == has_sun
+
+
+def sunny(rows: int, width: float = 0.53, polar: float = 50.0, longitude: float = 30.0) -> np.ndarray:
+    """A map of random radiance with a disc of 1e5, so many degrees wide."""
+    v, u = (np.indices((rows, 2 * rows)) + 0.5) / np.array([[[rows]], [[2 * rows]]])
+    towards = latlong.directions(u, v)
+    a, b = np.radians([polar, longitude])
+    sun = np.array([np.sin(a) * np.sin(b), np.cos(a), np.sin(a) * np.cos(b)])
+    close = towards @ sun
+    pixels = np.random.default_rng(0).uniform(0.5, 1.5, (rows, 2 * rows, 3))
+    pixels[close >= min(np.cos(np.radians(width / 2)), close.max())] = 1e5, 9e4, 8e4
+    return pixels.astype(np.float32)
+
+
+@pytest.mark.parametrize(("rows", "polar"), [(16, 50.0), (64, 50.0), (512, 50.0), (1024, 110.0), (512, 0.3)])
+def test_a_map_is_its_rest_and_few_directions(rows: int, polar: float):
+    pixels = sunny(rows, polar=polar)
+    rest, sun = without_sun(pixels)
+    area = latlong.solid_angles(rows, 2 * rows)[:, None, None]
+    taken = ((pixels - rest.astype(float)) * area).sum(axis=(0, 1))
+    np.testing.assert_allclose(np.asarray(sun.irradiance).sum(axis=0), taken, rtol=1e-4)
+    # All that shone, and nothing else; no more of it is left than of a bright pixel.
+    bright = pixels.max(axis=2) > 1e4
+    assert rest[bright].max() < 4
+    np.testing.assert_array_equal(rest[rest != pixels], rest[np.any(rest != pixels, axis=2)].ravel())
+    assert 1 <= len(sun.directions) <= 64
+    a, b = np.radians([polar, 30.0])
+    towards = np.array([np.sin(a) * np.sin(b), np.cos(a), np.sin(a) * np.cos(b)])
+    mean = np.asarray(sun.irradiance).sum(axis=1) @ np.asarray(sun.directions)
+    angle = np.arccos(np.clip(towards @ mean / np.linalg.norm(mean), -1, 1))
+    assert angle < 0.75 * np.pi / rows
+
+
+def test_a_wide_pixel_is_several_directions():
+    _, sun = without_sun(sunny(16))
+    apart = np.arccos(np.clip(np.asarray(sun.directions, float) @ np.asarray(sun.directions, float).T, -1, 1))
+    assert len(sun.directions) == 64
+    assert apart.max() > 0.1
+
+
+@pytest.mark.parametrize("rows", [1, 2, 8, 256])
+def test_a_map_without_a_sun_stays(rows: int):
+    for pixels in (np.random.default_rng(0).random((rows, 2 * rows, 3)), np.zeros((rows, 2 * rows, 3))):
+        rest, sun = without_sun(pixels.astype(np.float32))
+        np.testing.assert_array_equal(rest, pixels.astype(np.float32))
+        assert sun.directions.shape == sun.irradiance.shape == (0, 3)
