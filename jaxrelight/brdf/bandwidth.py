@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jaxrelight import safe
 from jaxrelight.basis.local_frequency import local_frequency, mirrored
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.isotropy import is_isotropic
 from jaxrelight.brdf.lobes import LobeSum
 
 _GRID = 16
@@ -136,26 +137,6 @@ def compressed(table: BandwidthTable, components: int) -> tuple[CompressedBandwi
     found = CompressedBandwidth(jnp.asarray(mean), jnp.asarray(kept), jnp.asarray(right[:components]), table.isotropic)
     error = np.linalg.norm(np.asarray(found.table().values) - values) / max(np.linalg.norm(values), 1e-30)
     return found, float(error)
-
-
-def is_isotropic(brdf: Brdf) -> bool:
-    """Whether turning both directions about the normal changes f by no more than a thousandth at 64 random pairs."""
-    rng = np.random.default_rng(0)
-    z, phi = rng.uniform(0.1, 1, (2, 64)), rng.uniform(0, 2 * np.pi, (3, 64))
-
-    def at(turn):
-        sine = np.sqrt(1 - z**2)
-        both = zip(sine, phi[:2] + turn, z, strict=True)
-        pair = (np.stack([s * np.cos(p), s * np.sin(p), c], axis=1) for s, p, c in both)
-        return np.asarray(_pairs(brdf, *(jnp.asarray(side, jnp.float32) for side in pair)), float)
-
-    one, other = at(0), at(phi[2])
-    return bool(np.all(np.abs(one - other) <= 1e-3 * np.abs(one).max()))
-
-
-@eqx.filter_jit
-def _pairs(brdf, omega_i, omega_o):
-    return jax.vmap(brdf.evaluate)(omega_i, omega_o)
 
 
 @eqx.filter_jit

@@ -1,4 +1,8 @@
-"""Drawing directions to the light for any BRDF: by its distribution of half vectors, and by the cosine."""
+"""Drawing directions to the light for any BRDF, by half vectors: a table of where f · cosθ_i lies for each ω_o.
+
+Two even numbers become a half vector by smooth functions that put as many where as much is reflected, so that evenly
+spread numbers stay so, and every sample weighs about the same.
+"""
 
 import math
 
@@ -7,38 +11,42 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy import interpolate
 
-from jaxrelight import safe
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.sampling import directional_albedo, from_disc
+from jaxrelight.brdf.isotropy import is_isotropic
 
-# Steps of √(θ_h / 90°), and where between light and eye the distribution is read.
-_STEPS = 128
-_THETA_D = (0.05, 0.35, 0.7, 1.0)
-_PHI_D = (0.0, 0.5 * math.pi, math.pi, 1.5 * math.pi)
-_ELEVATIONS = 32
-# Of samples, the least that either part takes, so that estimates have no bias where the other is 0.
-_LEAST_SHARE = 0.05
+# ω_o of the table: steps of its cosine, and of its azimuth for BRDFs that it matters to.
+_ELEVATIONS, _AZIMUTHS = 32, 16
+# Steps of both numbers, and cells along √(θ_h / 90°) and around that the BRDF is evaluated in.
+_STEPS, _AROUND, _FINE, _FINE_AROUND = 128, 64, 256, 64
+# Of the shares, what is given to all cells alike, so that estimates have no bias where the BRDF was thought to be 0.
+_LEAST = 0.01
 
 
 class HalfVectors(eqx.Module):
-    """What samplers for all ω_o share: a mixture of the cosine and of ω_o mirrored at drawn half vectors.
+    """What samplers for all ω_o share: values and slopes of functions of even numbers, at equal steps.
 
     Attributes:
-        density: of √(θ_h / 90°), constant over equal steps.
-        reached: its integral up to the end of each step.
-        cosine_share: of samples, by cosθ_o.
+        roots: √(θ_h / 90°), for azimuths and elevations of ω_o.
+        turns: the azimuth of the half vector from that of ω_o, at each of those steps.
     """
 
-    density: Float[Array, " n"]
-    reached: Float[Array, " n"]
-    cosine_share: Float[Array, " t"]
+    roots: Float[Array, "a e n 4"]
+    turns: Float[Array, "a e n1 m 4"]
 
     def towards(self, omega_o: Float[Array, "3"]) -> "HalfVectorSampler":
         """The sampler for one direction to the eye."""
-        place = jnp.clip(omega_o[2], 0, 1) * (len(self.cosine_share) - 1)
-        share = self.cosine_share.at[jnp.round(place).astype(jnp.int32)].get(mode="promise_in_bounds")
-        return HalfVectorSampler(self, omega_o, share)
+        azimuths, elevations = self.roots.shape[:2]
+        across = jnp.hypot(omega_o[0], omega_o[1])
+        some = across > 1e-6
+        along = jnp.stack([jnp.where(some, omega_o[k] / jnp.where(some, across, 1), 1.0 - k) for k in (0, 1)])
+        elevation = jnp.clip((omega_o[2] * elevations).astype(jnp.int32), 0, elevations - 1)
+        azimuth = jnp.zeros((), jnp.int32)
+        if azimuths > 1:
+            turn = jnp.arctan2(along[1], along[0]) * (azimuths / (2 * math.pi))
+            azimuth = jnp.round(turn).astype(jnp.int32) % azimuths
+        return HalfVectorSampler(self, omega_o, along, azimuth * elevations + elevation)
 
 
 class HalfVectorSampler(eqx.Module):
@@ -46,78 +54,95 @@ class HalfVectorSampler(eqx.Module):
 
     table: HalfVectors
     omega_o: Float[Array, "3"]
-    cosine_share: Float[Array, ""]
+    along: Float[Array, "2"]
+    row: Float[Array, ""]
 
-    def at(self, choice: Float[Array, ""], u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
-        """The direction that three numbers from 0 to 1 stand for: uniform ones, random or not, give its density."""
-        n = len(self.table.density)
-        step = jnp.minimum(jnp.searchsorted(self.table.reached, u, side="right", method="scan_unrolled"), n - 1)
-        density = self.table.density.at[step].get(mode="promise_in_bounds")
-        missing = (self.table.reached.at[step].get(mode="promise_in_bounds") - u) / jnp.where(density > 0, density, 1)
-        root = jnp.clip((step + 1) / n - missing, 0, 1)
-        theta, phi = root**2 * (math.pi / 2), 2 * math.pi * v
-        sine = jnp.sin(theta)
-        half = jnp.stack([sine * jnp.cos(phi), sine * jnp.sin(phi), jnp.cos(theta)])
-        mirrored = 2 * jnp.sum(self.omega_o * half) * half - self.omega_o
-        return jnp.where(choice < self.cosine_share, from_disc(u, v), mirrored)
-
-    def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
-        """Density of `at` by solid angle, over the whole sphere."""
-        n = len(self.table.density)
-        half = safe.normalize(omega_i + self.omega_o)
-        across = jnp.sqrt(jnp.maximum(half[0] ** 2 + half[1] ** 2, 1e-18))
-        theta = jnp.arctan2(across, jnp.abs(half[2]))
-        root = jnp.sqrt(theta * (2 / math.pi))
-        step = jnp.minimum((root * n).astype(jnp.int32), n - 1)
-        density = self.table.density.at[step].get(mode="promise_in_bounds")
+    def drawn(self, choice, u: Float[Array, ""], v: Float[Array, ""]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+        """The direction that numbers from 0 to 1 stand for, and its density by solid angle; `choice` is not needed."""
+        n, m = self.table.roots.shape[2], self.table.turns.shape[3]
+        step, part = _step(u, n)
+        root, wide = _smooth(self.table.roots, self.row * n + step, part)
+        first = self.row * (n + 1) + step
+        step, place = _step(v, m)
+        (phi, round_), (other, wider) = (_smooth(self.table.turns, row * m + step, place) for row in (first, first + 1))
+        phi, round_ = (1 - part) * phi + part * other, (1 - part) * round_ + part * wider
+        theta = root * root * (math.pi / 2)
+        sine, x, y = jnp.sin(theta), jnp.cos(phi), jnp.sin(phi)
+        a, b = self.along
+        half = jnp.stack([sine * (x * a - y * b), sine * (x * b + y * a), jnp.cos(theta)])
+        dot = self.omega_o[0] * half[0] + self.omega_o[1] * half[1] + self.omega_o[2] * half[2]
         # dω_h = sinθ dθ dφ and dθ = π root d(root); dω_i = 4 (ω_o · h) dω_h.
-        around = 2 * math.pi * jnp.maximum(across, 1e-9) * math.pi * jnp.maximum(root, 1e-6)
-        mirrored = density / (around * 4 * jnp.maximum(jnp.abs(jnp.sum(self.omega_o * half)), 1e-6))
-        cosine = jnp.maximum(omega_i[2], 0) / math.pi
-        return self.cosine_share * cosine + (1 - self.cosine_share) * mirrored
+        spread = math.pi * jnp.maximum(root * sine, 1e-12) * 4 * jnp.maximum(jnp.abs(dot), 1e-6)
+        return 2 * dot * half - self.omega_o, 1 / (n * m * wide * round_ * spread)
+
+
+def _step(number, steps: int):
+    """The step of a number from 0 to 1, and the place in it."""
+    step = jnp.minimum((number * steps).astype(jnp.int32), steps - 1)
+    return step, number * steps - step
+
+
+def _smooth(table, row, t):
+    """A cubic, and its slope."""
+    a, b, c, d = table.reshape(-1, 4).at[row].get(mode="promise_in_bounds")
+    return a + t * (b + t * (c + t * d)), jnp.maximum(b + t * (2 * c + t * 3 * d), 1e-9)
 
 
 def half_vectors(brdf: Brdf) -> HalfVectors:
-    """Read off a BRDF: what it reflects more than it does far from the mirror direction, by θ_h."""
-    root = (np.arange(_STEPS) + 0.5) / _STEPS
-    theta = jnp.asarray(root**2 * (math.pi / 2), jnp.float32)
-    values, above = _along(brdf, theta, jnp.asarray(_THETA_D), jnp.asarray(_PHI_D))
-    values, above = np.maximum(np.asarray(values, float), 0), np.asarray(above)
-    floor = np.min(np.where(above, values, np.inf), axis=0)
-    extra = np.where(above, np.maximum(values - np.where(np.isfinite(floor), floor, 0), 0), 0)
-    counted = np.maximum(above.sum(axis=(1, 2)), 1)
-    mean = extra.sum(axis=(1, 2)) / counted
-    # Steps that lie below the surface for all pairs go on with what the last one has.
-    mass = mean * np.cos(theta) * np.sin(theta) * root
-    mass = mass / mass.sum() if mass.sum() > 0 else np.full(_STEPS, 1 / _STEPS)
-    mass = 0.99 * mass + 0.01 / _STEPS
-    cosines = np.linspace(0, 1, _ELEVATIONS)
-    sines = np.sqrt(1 - cosines**2)
-    omega_o = jnp.asarray(np.stack([sines, 0 * sines, np.maximum(cosines, 0.02)], axis=1), jnp.float32)
-    albedo = np.asarray(jax.lax.map(lambda one: jnp.sum(directional_albedo(brdf, safe.normalize(one))), omega_o))
-    diffuse = math.pi * float(np.mean(np.where(np.isfinite(floor), floor, 0)))
-    share = diffuse / np.where(albedo > 0, albedo, 1) if diffuse > 0 else np.zeros(_ELEVATIONS)
-    share = np.where(albedo > 0, share, 1)
-    dtype = jnp.float32
-    return HalfVectors(
-        jnp.asarray(mass * _STEPS, dtype),
-        jnp.asarray(np.cumsum(mass), dtype),
-        jnp.asarray(np.clip(np.nan_to_num(share, nan=0.5), _LEAST_SHARE, 1 - _LEAST_SHARE), dtype),
-    )
+    """Made from a BRDF by evaluating it in every cell; no part of a second for each million."""
+    azimuths = 1 if is_isotropic(brdf) else _AZIMUTHS
+    root, phi = (np.arange(_FINE) + 0.5) / _FINE, ((np.arange(_FINE_AROUND) + 0.5) / _FINE_AROUND * 2 - 1) * math.pi
+    cosine = (np.arange(_ELEVATIONS) + 0.5) / _ELEVATIONS
+    roots = np.zeros((azimuths, _ELEVATIONS, _STEPS, 4))
+    turns = np.zeros((azimuths, _ELEVATIONS, _STEPS + 1, _AROUND, 4))
+    grid = (jnp.asarray(x, jnp.float32) for x in (root**2 * (math.pi / 2), phi))
+    theta, phi = grid
+    for a in range(azimuths):
+        turn = 2 * math.pi * a / azimuths
+        for e, c in enumerate(cosine):
+            s = math.sqrt(1 - c * c)
+            omega_o = jnp.asarray([s * math.cos(turn), s * math.sin(turn), c], jnp.float32)
+            mass = np.asarray(_reflected(brdf, omega_o, theta, phi + turn), float) * root[:, None]
+            mass = np.where(np.isfinite(mass), np.maximum(mass, 0), 0)
+            roots[a, e], turns[a, e] = _equal_shares(mass)
+    return HalfVectors(jnp.asarray(roots, jnp.float32), jnp.asarray(turns, jnp.float32))
+
+
+def _equal_shares(mass: Float[np.ndarray, "f g"]) -> tuple[np.ndarray, np.ndarray]:
+    """Functions whose equal steps hold the same."""
+    even = 1 / mass.size
+    mass = (1 - _LEAST) * mass / mass.sum() + _LEAST * even if mass.sum() > 0 else np.full(mass.shape, even)
+    # Above each edge along θ_h, of every part around.
+    above = np.concatenate([np.zeros((1, mass.shape[1])), np.cumsum(mass, axis=0)])
+    edges = np.linspace(0, 1, len(mass) + 1)
+    halves = np.interp(np.linspace(0, 1, 2 * _STEPS + 1), above.sum(axis=1) / above[-1].sum(), edges)
+    at = np.clip(halves[np.append(0, np.arange(1, 2 * _STEPS + 2, 2)).clip(max=2 * _STEPS)] * len(mass), 0, len(mass))
+    below = np.minimum(at.astype(int), len(mass) - 1)
+    reached = above[below] + (at - below)[:, None] * (above[below + 1] - above[below])
+    around = np.linspace(-math.pi, math.pi, mass.shape[1] + 1)
+    turns = []
+    for row in np.diff(reached, axis=0):
+        share = np.concatenate([[0], np.cumsum(row)])
+        turns.append(np.interp(np.linspace(0, 1, _AROUND + 1), share / share[-1], around))
+    return _cubics(halves[::2]), _cubics(np.stack(turns))
+
+
+def _cubics(values: Float[np.ndarray, "... n1"]) -> Float[np.ndarray, "... n 4"]:
+    """Cubics between values that fall nowhere (Fritsch and Butland), by powers of the way from one to the next."""
+    found = interpolate.PchipInterpolator(np.arange(values.shape[-1]), values, axis=-1).c
+    return np.moveaxis(found[::-1], (0, 1), (-1, -2))
 
 
 @eqx.filter_jit
-def _along(brdf, theta_h, theta_d, phi_d):
-    """Of all pairs, f summed over channels, and whether both directions are above the surface: [h, d, p]."""
+def _reflected(brdf, omega_o, theta, phi):
+    """f cosθ_i summed over channels, by √θ_h (but for the root itself) and φ_h."""
 
-    def one(h, d, p):
-        half = jnp.stack([jnp.sin(h), jnp.zeros_like(h), jnp.cos(h)])
-        tangent = jnp.stack([jnp.cos(h), jnp.zeros_like(h), -jnp.sin(h)])
-        aside = jnp.sin(d) * (jnp.cos(p) * tangent + jnp.sin(p) * jnp.asarray([0.0, 1, 0]))
-        omega_i, omega_o = jnp.cos(d) * half + aside, jnp.cos(d) * half - aside
-        above = (omega_i[2] > 1e-3) & (omega_o[2] > 1e-3)
-        up = jnp.asarray([0.0, 0, 1])
-        return jnp.sum(brdf.evaluate(jnp.where(above, omega_i, up), jnp.where(above, omega_o, up))), above
+    def one(theta, phi):
+        half = jnp.stack([jnp.sin(theta) * jnp.cos(phi), jnp.sin(theta) * jnp.sin(phi), jnp.cos(theta)])
+        dot = jnp.sum(omega_o * half)
+        omega_i = 2 * dot * half - omega_o
+        above = (omega_i[2] > 0) & (dot > 0)
+        value = jnp.sum(brdf.evaluate(jnp.where(above, omega_i, jnp.asarray([0.0, 0, 1])), omega_o))
+        return jnp.where(above, value * omega_i[2] * dot * jnp.sin(theta), 0)
 
-    grid = jax.vmap(jax.vmap(jax.vmap(one, (None, None, 0)), (None, 0, None)), (0, None, None))
-    return grid(theta_h, theta_d, phi_d)
+    return jax.lax.map(lambda t: jax.vmap(lambda p: one(t, p))(phi), theta, batch_size=16)

@@ -63,6 +63,11 @@ class LobeSampler(eqx.Module):
         angle = 2 * math.pi * v
         return sine * (jnp.cos(angle) * frame[0] + jnp.sin(angle) * frame[1]) + cosine * frame[2]
 
+    def drawn(self, *numbers: Float[Array, ""]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+        """`at`, and its density."""
+        omega_i = self.at(*numbers)
+        return omega_i, self.pdf(omega_i)
+
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle, over the whole sphere."""
         # Written out: as a sum over an axis, XLA 0.10 for CPUs fuses it with those of a BRDF and makes both wrong.

@@ -1,5 +1,6 @@
 """Isotropic reflectance in a table over half vector and difference vector (Rusinkiewicz 1998), as MERL's files are."""
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -65,7 +66,9 @@ class Tabulated(Brdf):
         """f(ω_i, ω_o) of every channel."""
         entries, weights = corners(half_difference(omega_i, omega_o), self.values.shape[:3])
         flat = self.values.reshape(-1, self.channels)
-        return weights @ flat.at[entries].get(mode="promise_in_bounds")
+        # Written out: products of small matrices are slow.
+        found = (flat.at[entries[k]].get(mode="promise_in_bounds") * weights[k] for k in range(8))
+        return functools.reduce(jnp.add, found)
 
     @property
     def channels(self) -> int:

@@ -25,7 +25,7 @@ from jaxrelight.geometry.curvature import curvature
 from jaxrelight.lighting.estimate import RUN, Blocked, estimate
 from jaxrelight.lighting.hierarchy import Features, Hierarchy, hierarchy
 from jaxrelight.lighting.pixels import padded
-from jaxrelight.lighting.prediction import Prediction, directions, predict
+from jaxrelight.lighting.prediction import Prediction, directions, draw, predict
 from jaxrelight.lighting.prefiltered import Seen, SeenMaterial, SurfacePixels
 from jaxrelight.lighting.random_numbers import MOST
 from jaxrelight.lighting.sampled import Sampled, sampled
@@ -192,11 +192,14 @@ class AdaptiveShader:
             shadows: whether surfaces hide it, which rays tell.
         """
 
+        spacing = jnp.float32(2 * self.factor)
+
         def of(part, probe) -> Prediction:
-            given = part, light, probe.pixels, probe.curvature, probe.distance, self._pixel_angle, samples
+            drawn = draw(part, probe.pixels, samples)
+            given = part, light, probe.pixels, probe.curvature, probe.distance, self._pixel_angle, spacing, drawn
             if not shadows:
                 return predict(*given)
-            towards = np.asarray(directions(part, probe.pixels, samples))
+            towards = np.asarray(directions(part, probe.pixels, drawn))
             far = np.full(towards.shape[:2], np.inf, np.float32)
             many = np.repeat(probe.point, samples)
             far[: len(probe.point)] = self.seen.shadows.distances(

@@ -63,10 +63,12 @@ def estimate(
             # Work is handed out ahead of what is done; not by more than a batch.
             jax.block_until_ready(total)
             report(RUN * len(mine[0]))
+        # Apart from what is done with them: XLA would draw anew for each of the BRDF's look-ups.
+        drawn = _directions(part, pixels, *mine, seed)
         if blocked is None:
-            total = _added(total, part, light, pixels, number, *mine, seed, filtered)
+            total = _added(total, part, light, pixels, number, mine[0], drawn, filtered)
         else:
-            given, towards = _drawn(part, light, pixels, number, *mine, seed, filtered)
+            given, towards = _drawn(part, light, pixels, number, mine[0], drawn, filtered)
             total = _summed(total, given, _visible(blocked, mine[0], towards), mine[0])
     return total / jnp.maximum(number, 1)[:, None]
 
@@ -84,20 +86,30 @@ def _visible(blocked: Blocked, place, towards):
     return jax.pure_callback(host, shape, place, jax.lax.stop_gradient(towards), vmap_method="sequential")
 
 
-def _pieces(part, light, pixels, number, place, first, seed, filtered):
-    """What each sample gives, and the world direction it comes from, 0 where it gives nothing: [RUN, 3] of a piece."""
+@jax.jit
+def _directions(part, pixels, place, first, seed):
+    """Of each piece [RUN, 3] directions in its pixel's frame, and their densities."""
 
     def piece(given):
         place, first = given
-        at = jnp.minimum(place, len(pixels.pixel) - 1)
-        frame, omega_o, uv, footprint, pixel, count = (
-            x.at[at].get(mode="promise_in_bounds")
-            for x in (pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, pixels.pixel, number)
-        )
+        _, omega_o, uv, footprint, pixel = _of(pixels, place)
         point, shift = part.towards(omega_o, uv, footprint), shifts(pixel, seed)
+        return jax.vmap(lambda index: point.direction(even_numbers(index, shift)))(first + jnp.arange(RUN))
 
-        def sample(index):
-            drawn = point.draw(even_numbers(index, shift))
+    return jax.lax.stop_gradient(jax.vmap(piece)((place, first)))
+
+
+def _pieces(part, light, pixels, number, place, drawn, filtered):
+    """What each sample gives, and the world direction it comes from, 0 where it gives nothing: [RUN, 3] of a piece."""
+
+    def piece(given):
+        place, directions = given
+        frame, omega_o, uv, footprint, _ = _of(pixels, place)
+        count = number.at[jnp.minimum(place, len(number) - 1)].get(mode="promise_in_bounds")
+        point = part.towards(omega_o, uv, footprint)
+
+        def sample(direction):
+            drawn = point.weighed(*direction)
             # Written out: products of small matrices are slow.
             omega = jnp.sum(drawn.omega_i[:, None] * frame, axis=0)
             covered = drawn.solid_angle / jnp.maximum(count, 1) if filtered else None
@@ -105,14 +117,21 @@ def _pieces(part, light, pixels, number, place, first, seed, filtered):
             real = (place < len(pixels.pixel)) & jnp.any(drawn.weight > 0)
             return given, jnp.where(real, omega, 0)
 
-        return jax.vmap(sample)(first + jnp.arange(RUN))
+        return jax.vmap(sample)(directions)
 
-    return jax.vmap(jax.checkpoint(piece))((place, first))
+    return jax.vmap(jax.checkpoint(piece))((place, drawn))
+
+
+def _of(pixels, place):
+    """What a place has; padding, what the last one has."""
+    at = jnp.minimum(place, len(pixels.pixel) - 1)
+    arrays = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, pixels.pixel
+    return tuple(x.at[at].get(mode="promise_in_bounds") for x in arrays)
 
 
 @functools.partial(jax.jit, static_argnames="filtered")
-def _drawn(part, light, pixels, number, place, first, seed, filtered):
-    return _pieces(part, light, pixels, number, place, first, seed, filtered)
+def _drawn(part, light, pixels, number, place, drawn, filtered):
+    return _pieces(part, light, pixels, number, place, drawn, filtered)
 
 
 @jax.jit
@@ -121,6 +140,6 @@ def _summed(total, given, visible, place):
 
 
 @functools.partial(jax.jit, static_argnames="filtered")
-def _added(total, part, light, pixels, number, place, first, seed, filtered):
-    given, _ = _pieces(part, light, pixels, number, place, first, seed, filtered)
+def _added(total, part, light, pixels, number, place, drawn, filtered):
+    given, _ = _pieces(part, light, pixels, number, place, drawn, filtered)
     return total.at[place].add(jnp.sum(given, axis=1), mode="drop")

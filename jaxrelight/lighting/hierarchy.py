@@ -168,7 +168,9 @@ def _between(own, theirs, offset, parents):
         other_rates = jnp.where(far, reach[1], reach[0])
         turned, moved = other[:3] - place[:3], other[3:] - place[3:]
         x, y = (angular * _sum(turned * axis) for axis in (axes[:3], axes[3:]))
-        most_angular, most_spatial = (jnp.maximum(*pair) for pair in ((angular, other_rates[0]), (spatial, other_rates[1])))
+        most_angular, most_spatial = (
+            jnp.maximum(*pair) for pair in ((angular, other_rates[0]), (spatial, other_rates[1]))
+        )
         square = _sum(turned**2) * most_angular**2 + _sum(moved**2) * most_spatial**2
         usable = (other_kind == kind) & (_sum(turned**2) < _MOST_TURNED**2)
         near = jnp.where(usable, jnp.exp(-square / _REACH**2 - image), 0)

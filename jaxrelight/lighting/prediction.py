@@ -26,6 +26,8 @@ from jaxrelight.lights.pyramid import LightPyramid
 _TOGETHER = 1024
 # Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
 _LEAST_DISTANCE = 1e-3
+# Surfaces seen more obliquely than this count as this; and mirrors turn no further from pixel to pixel.
+_LEAST_COSINE, _MOST_TURN = 0.02, 0.3
 
 
 class Prediction(NamedTuple):
@@ -57,16 +59,30 @@ _SHIFT = np.full(3, 1 << 31, np.uint32)
 
 
 @eqx.filter_jit
-def directions(part: Sampled, pixels: SurfacePixels, samples: int = 16) -> Float[Array, "p n 3"]:
-    """World directions of the samples that predict; where nothing is reflected, the normal."""
+def draw(part: Sampled, pixels: SurfacePixels, samples: int = 16) -> tuple[Float[Array, "p n 3"], Float[Array, "p n"]]:
+    """Directions of the samples that predict, in each pixel's frame, and their densities."""
     numbers = even_numbers(jnp.arange(samples), jnp.asarray(_SHIFT))
 
     def one(given):
-        frame, omega_o, uv, footprint = given
-        point = part.towards(omega_o, uv, footprint)
-        return jax.vmap(lambda number: _world(point.draw(number).omega_i, frame))(numbers)
+        point = part.towards(*given)
+        return jax.vmap(point.direction)(numbers)
 
-    return jax.lax.map(one, (pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint), batch_size=_TOGETHER)
+    return jax.lax.map(one, (pixels.omega_o, pixels.uv, pixels.footprint), batch_size=_TOGETHER)
+
+
+@jax.jit
+def directions(
+    part: Sampled, pixels: SurfacePixels, drawn: tuple[Float[Array, "p n 3"], Float[Array, "p n"]]
+) -> Float[Array, "p n 3"]:
+    """What was drawn, in the world; where nothing is reflected, the normal."""
+
+    def one(given):
+        frame, omega_o, uv, footprint, omega_i, density = given
+        point = part.towards(omega_o, uv, footprint)
+        return jax.vmap(lambda *sample: _world(point.weighed(*sample).omega_i, frame))(omega_i, density)
+
+    rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, *drawn
+    return jax.lax.map(one, rows, batch_size=_TOGETHER)
 
 
 @eqx.filter_jit
@@ -77,7 +93,8 @@ def predict(
     curvature: Float[Array, " p"],
     distance: Float[Array, " p"],
     pixel_angle: Float[Array, ""],
-    samples: int = 16,
+    spacing: Float[Array, ""],
+    drawn: tuple[Float[Array, "p n 3"], Float[Array, "p n"]],
     hidden: Float[Array, "p n"] | None = None,
 ) -> Prediction:
     """Predicts pixels of one component without its weight.
@@ -89,21 +106,26 @@ def predict(
         curvature: radians per metre, see `geometry.curvature`.
         distance: to the eye, in metres.
         pixel_angle: that a pixel covers along a side, in radians.
-        samples: n_b.
+        spacing: pixels from one to the next: what is thinner than that in the mirror is met, too.
+        drawn: n_b samples of each, see `draw`.
         hidden: how far away what hides each of the `directions` is, infinite for nothing; None without shadows.
     """
-    numbers = even_numbers(jnp.arange(samples), jnp.asarray(_SHIFT))
+    samples = drawn[1].shape[1]
     # Of the light, what is expected of the next sample when all so far were hidden.
     unseen = 1 / (samples + 2)
 
     def one(given):
-        frame, omega_o, uv, footprint, curvature, distance, *hidden = given
+        frame, omega_o, uv, footprint, curvature, distance, omega_i, density, *hidden = given
         point = part.towards(omega_o, uv, footprint)
+        # Mirrors turn twice as far as normals, and a pixel is longer where the surface is seen obliquely.
+        turn = 2 * curvature * distance * pixel_angle * spacing / jnp.maximum(omega_o[2], _LEAST_COSINE)
+        least = jnp.minimum(turn, _MOST_TURN) ** 2
 
-        def sample(number, *hidden):
-            drawn = point.draw(number)
+        def sample(omega_i, density, *hidden):
+            drawn = point.weighed(omega_i, density)
             own = point.bandwidth(drawn.omega_i)
-            mean, square, varied = light.detail_at(_world(drawn.omega_i, frame), drawn.solid_angle / samples)
+            covered = jnp.maximum(drawn.solid_angle / samples, least)
+            mean, square, varied = light.detail_at(_world(drawn.omega_i, frame), covered)
             weight = jnp.mean(drawn.weight)
             arriving = Bandwidth(jnp.zeros_like(varied), varied)
             leaving = reflected(arriving, drawn.omega_i[2], point.omega_o[2], curvature, own, jnp.zeros_like(own))
@@ -123,7 +145,7 @@ def predict(
                 "varied": given**2 * (own + varied),
             }
 
-        every = jax.vmap(sample)(numbers, *hidden)
+        every = jax.vmap(sample)(omega_i, density, *hidden)
         found = {name: jnp.mean(values) for name, values in every.items()}
         radiance, whole = found["given"], found["whole"]
         some, all_of_it = (jnp.where(x > 0, x, 1) for x in (radiance, whole))
@@ -142,7 +164,7 @@ def predict(
             found["varied"],
         )
 
-    rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, curvature, distance
+    rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, curvature, distance, *drawn
     return jax.lax.map(one, rows if hidden is None else (*rows, hidden), batch_size=_TOGETHER)
 
 

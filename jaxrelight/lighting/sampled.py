@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.brdf.bandwidth import BandwidthTable, bandwidth_table, lobe_bandwidth, with_cosine
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.half_sampling import HalfVectors, half_vectors
+from jaxrelight.brdf.half_sampling import HalfVectors, HalfVectorSampler, half_vectors
 from jaxrelight.brdf.lobe_sampling import LobeSampler
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
@@ -60,14 +60,20 @@ class TowardsEye(eqx.Module):
 
     sampled: Sampled
     brdf: Brdf
-    sampler: eqx.Module
+    sampler: LobeSampler | HalfVectorSampler
     omega_o: Float[Array, "3"]
     above: Float[Array, ""]
 
     def draw(self, numbers: Float[Array, "3"]) -> Drawn:
         """The sample of three numbers from 0 to 1. Where it lies, and its density, stand still in derivatives."""
-        omega_i = jax.lax.stop_gradient(self.sampler.at(*numbers))  # pyright: ignore[reportAttributeAccessIssue]
-        density = jax.lax.stop_gradient(self.sampler.pdf(omega_i))  # pyright: ignore[reportAttributeAccessIssue]
+        return self.weighed(*self.direction(numbers))
+
+    def direction(self, numbers: Float[Array, "3"]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+        """A sample's direction and density, which may reflect nothing."""
+        return jax.lax.stop_gradient(self.sampler.drawn(*numbers))
+
+    def weighed(self, omega_i: Float[Array, "3"], density: Float[Array, ""]) -> Drawn:
+        """The sample of a direction."""
         lit = self.above & (omega_i[2] > 0) & (density > 0)
         omega_i = jnp.where(lit, omega_i, jnp.asarray([0, 0, 1], omega_i.dtype))
         density = jnp.where(lit, density, 1)

@@ -1,4 +1,4 @@
-"""Half-vector sampling: densities integrate to one, samples follow them, estimates have no bias."""
+"""Half-vector sampling: densities are those of samples, weights are alike, estimates have no bias."""
 
 import jax
 import jax.numpy as jnp
@@ -23,15 +23,14 @@ VIEWS = jnp.asarray([[0.0, 0, 1], [0.6, 0, 0.8], [0.1, -0.95, 0.29]])
 def _samples(brdf, omega_o, count=1 << 14):
     sampler = half_vectors(brdf).towards(omega_o / jnp.linalg.norm(omega_o))
     u = even_numbers(jnp.arange(count), jnp.zeros(3, jnp.uint32))
-    omega_i = jax.vmap(lambda one: sampler.at(*one))(u)
-    return sampler, omega_i, jax.vmap(sampler.pdf)(omega_i)
+    return jax.jit(jax.vmap(lambda one: sampler.drawn(*one)))(u)
 
 
 @pytest.mark.parametrize("name", ["black", "phong", "anisotropic"])
 @pytest.mark.parametrize("view", [0, 2])
 def test_samples_follow_their_density(name: str, view: int):
     """Means of functions over samples, divided by the density, are their integrals over the sphere."""
-    _, omega_i, pdf = _samples(BRDFS[name], VIEWS[view])
+    omega_i, pdf = _samples(BRDFS[name], VIEWS[view])
     np.testing.assert_allclose(np.linalg.norm(omega_i, axis=1), 1, atol=1e-5)
     assert (np.asarray(pdf) > 0).all()
     upper = np.asarray(omega_i[:, 2] > 0)
@@ -47,31 +46,34 @@ def test_samples_follow_their_density(name: str, view: int):
 @pytest.mark.parametrize("view", [1, 2])
 def test_albedo_is_estimated_without_bias_and_with_little_noise(name: str, view: int):
     brdf, omega_o = BRDFS[name], VIEWS[view] / jnp.linalg.norm(VIEWS[view])
-    _, omega_i, pdf = _samples(brdf, omega_o)
+    omega_i, pdf = _samples(brdf, omega_o)
     above = omega_i[:, 2] > 0
     up = jnp.asarray([0.0, 0, 1])
     value = jax.vmap(lambda one: brdf.evaluate(one, omega_o)[0])(jnp.where(above[:, None], omega_i, up))
     weight = np.asarray(jnp.where(above, value * omega_i[:, 2] / pdf, 0), float)
     wanted = float(directional_albedo(brdf, omega_o, 256, 512)[0])
     np.testing.assert_allclose(weight.mean(), wanted, rtol=0.01)
-    if name != "anisotropic":
-        # The sampler knows where it is bright: no weight is far from the mean.
-        assert weight.std() <= 2.5 * weight.mean()
+    # The sampler knows where it is bright: weights are about the same.
+    assert weight.std() <= (0.3 if name == "metal" else 0.6) * weight.mean()
 
 
 def test_sharp_highlight_is_hit():
     brdf = phong(0.0, 0.5, 1e4)
-    _, omega_i, pdf = _samples(brdf, VIEWS[1])
+    omega_i, pdf = _samples(brdf, VIEWS[1])
     value = jax.vmap(lambda one: brdf.evaluate(one, VIEWS[1])[0])(omega_i) * omega_i[:, 2] / pdf
     np.testing.assert_allclose(np.asarray(value).mean(), 0.5 * 0.8 * (1e4 + 2) / (1e4 + 1), rtol=0.02)
 
 
-def test_gradients_are_finite():
-    table = half_vectors(BRDFS["phong"])
-
-    def density(omega_o, omega_i):
-        return table.towards(omega_o).pdf(omega_i)
-
-    for omega_i in ([0.0, 0, 1], [0.6, 0, 0.8], [-0.6, 0, 0.8], [1.0, 0, 0]):
-        for grad in jax.grad(density, (0, 1))(jnp.asarray([0.6, 0, 0.8]), jnp.asarray(omega_i)):
-            assert np.isfinite(grad).all()
+def test_small_steps_of_numbers_are_small_steps_of_directions():
+    """Even numbers stay even: there are no jumps between the table's cells, but around ±π."""
+    sampler = half_vectors(BRDFS["anisotropic"]).towards(VIEWS[1])
+    u, v = jnp.meshgrid(*[jnp.linspace(0.01, 0.99, 400)] * 2, indexing="ij")
+    omega_i, pdf = jax.jit(jax.vmap(jax.vmap(lambda a, b: sampler.drawn(0.0, a, b))))(u, v)
+    assert np.linalg.norm(np.diff(omega_i, axis=0), axis=-1).max() < 0.3
+    assert np.linalg.norm(np.diff(omega_i, axis=1), axis=-1).max() < 0.3
+    # As dense as the numbers say: a cell of theirs has the solid angle that the density gives it.
+    right, down = omega_i[1:, :-1] - omega_i[:-1, :-1], omega_i[:-1, 1:] - omega_i[:-1, :-1]
+    area = np.linalg.norm(np.cross(right, down), axis=-1)
+    wanted = (0.98 / 399) ** 2 / np.asarray(pdf)[:-1, :-1]
+    close = np.abs(area / wanted - 1) < 0.15
+    assert close.mean() > 0.97

@@ -11,7 +11,7 @@ from jaxrelight.lighting.hierarchy import LEVELS, Features, Hierarchy, hierarchy
 H, W = 40, 48
 
 
-def features(kind=None, angular=0.5, contrast=1.0, spatial=0.0, bent=0.01) -> Features:
+def features(kind=None, angular: float | np.ndarray = 0.5, contrast=1.0, spatial=0.0, bent=0.01) -> Features:
     """Mirrors that turn evenly to the right and down."""
     y, x = np.mgrid[:H, :W].astype(np.float32)
     mirror = np.stack([bent * (x - W / 2), bent * (y - H / 2), np.ones_like(x)], axis=-1)
