@@ -13,10 +13,13 @@ from jaxrelight.basis.local_frequency import local_frequency, mirrored
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.isotropy import is_isotropic
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.spatial import PackedLobes
+from jaxrelight.brdf.texture import Texture
 
 _GRID = 16
 # Of the energy of a lobe's spectrum, what may lie beyond its bandwidth: as the threshold of `local_frequency`.
 _BEYOND = 0.01
+_MIXED = 4
 
 
 class BandwidthTable(eqx.Module):
@@ -142,6 +145,21 @@ def compressed(table: BandwidthTable, components: int) -> tuple[CompressedBandwi
 @eqx.filter_jit
 def _slice(brdf, omega_i, omega_o):
     return jax.lax.map(lambda one: brdf.evaluate(one, omega_o), omega_i, batch_size=4096)
+
+
+def texture_bandwidth(packed: PackedLobes) -> Texture:
+    """How fast a spatial BRDF varies over its map, in cycles per texel (Bagher 2011 §2.4 for textures).
+
+    Its parameters, each as large as the others, are mixed to a few channels by random numbers: a frequency of any of
+    them is one of nearly every mixture, and three lobes have thirty.
+    """
+    flat = np.asarray(packed.texture.pixels, np.float32)
+    largest = np.abs(flat).max(axis=(0, 1))
+    mixed = (flat / np.where(largest > 0, largest, 1)) @ np.random.default_rng(0).normal(size=(flat.shape[2], _MIXED))
+    h, w = flat.shape[:2]
+    ends = [(0, max(1 << (n - 1).bit_length(), _GRID) - n) for n in (h, w)]
+    found = local_frequency(np.pad(mixed, (*ends, (0, 0)), mode="wrap"))[:h, :w]
+    return Texture(jnp.asarray(found[..., None], jnp.float32))
 
 
 def _step(place, n):

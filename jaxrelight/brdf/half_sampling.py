@@ -135,7 +135,7 @@ def _cubics(values: Float[np.ndarray, "... n1"]) -> Float[np.ndarray, "... n 4"]
 
 @eqx.filter_jit
 def _reflected(brdf, omega_o, theta, phi):
-    """f cosθ_i summed over channels, by √θ_h (but for the root itself) and φ_h."""
+    """Of every √θ_h (but for the root itself) and φ_h, f cosθ_i, summed over channels."""
 
     def one(theta, phi):
         half = jnp.stack([jnp.sin(theta) * jnp.cos(phi), jnp.sin(theta) * jnp.sin(phi), jnp.cos(theta)])

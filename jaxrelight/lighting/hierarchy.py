@@ -28,6 +28,8 @@ _IMAGE, _MOST_TURNED = 0.075, 0.5
 _MOST_NOISE = 1.2
 # Of all parents together, the least that counts.
 _LEAST = 1e-3
+# Tolerances of levels: this power of two smaller from one to the next coarser one.
+_SHARE = 1.0
 # Parents of a new pixel between two of a row, as (down, right) in steps of the finer lattice; and between four. New
 # pixels of a kind lie so many of those steps down and right of the coarser lattice's.
 _ROW = ((0, -1), (0, 1), (-2, -1), (-2, 1), (2, -1), (2, 1), (0, -3), (0, 3))
@@ -60,29 +62,24 @@ class Hierarchy(eqx.Module):
 
     Attributes:
         asked: pixels that show anything.
-        error: that each of them is predicted to have where it is not shaded; infinite where it must be.
+        error: that each of them is predicted to have by lying between its parents, were those exact; infinite where it
+            must be shaded.
         weights: of the parents of each kind of new pixels, from the coarsest level on.
-        tolerance: all of a larger error are shaded.
+        shaded: which pixels are.
+        left: the error of those that are not, with what their parents pass on to them.
     """
 
     asked: Bool[Array, "h w"]
     error: Float[Array, "h w"]
     weights: tuple[Float[Array, "k y x"], ...]
-    tolerance: Float[Array, ""]
-
-    @property
-    def shaded(self) -> Bool[Array, "h w"]:
-        """Which pixels are."""
-        return self.asked & (self.error > self.tolerance)
-
-    @property
-    def left(self) -> Float[Array, "h w"]:
-        """The error of those that are not."""
-        return jnp.where(self.asked & ~self.shaded, self.error, 0)
+    shaded: Bool[Array, "h w"]
+    left: Float[Array, "h w"]
 
     def within(self, tolerance) -> "Hierarchy":
-        """The same with another tolerance."""
-        return Hierarchy(self.asked, self.error, self.weights, jnp.asarray(tolerance, self.error.dtype))
+        """The same with another tolerance: all of a larger error are shaded."""
+        return Hierarchy(
+            self.asked, self.error, self.weights, *_within(self.asked, self.error, self.weights, tolerance)
+        )
 
     def filled(self, image: Float[Array, "h w c"]) -> Float[Array, "h w c"]:
         """The image with what lies between shaded pixels; linear in them, and differentiable."""
@@ -98,12 +95,7 @@ class Hierarchy(eqx.Module):
 
     def levels(self) -> Int[np.ndarray, "h w"]:
         """The level whose pixels are each one's parents, and 0 of shaded pixels."""
-        found = np.zeros(self.shaded.shape, np.int32)
-        for level in range(LEVELS, 0, -1):
-            step = 2 ** (level - 1)
-            for down, right in ((0, 1), (1, 0), (1, 1)):
-                found[down * step :: 2 * step, right * step :: 2 * step] = level
-        return np.where(np.asarray(self.shaded), 0, found)
+        return np.where(np.asarray(self.shaded), 0, _levels(self.shaded.shape))
 
 
 @jax.jit
@@ -142,8 +134,8 @@ def hierarchy(features: Features) -> Hierarchy:
             errors.append(wrong)
             weights.append(found)
         error = _woven(errors)
-    tolerance = jnp.zeros((), error.dtype)
-    return Hierarchy(features.kind >= 0, error[:h, :w], tuple(weights), tolerance)
+    found = features.kind >= 0, error[:h, :w], tuple(weights)
+    return Hierarchy(*found, *_within(*found, 0.0))
 
 
 def _most_within(rates, kinds, step: int):
@@ -248,9 +240,36 @@ def _moved(wider, y, x):
 
 
 @jax.jit
+def _within(asked, error, weights, tolerance):
+    """Which pixels are shaded, and the errors of the others, coarse to fine."""
+    # What a coarse pixel is off, all those between it and others are, too.
+    allowed = tolerance * jnp.exp2(-_SHARE * jnp.asarray(_levels(error.shape), error.dtype))
+    shaded = asked & (error > allowed)
+    own = jnp.where(asked & ~shaded, error, 0)
+    sizes = tuple(jnp.abs(w) for w in weights)
+    left = _passed(shaded, sizes, own[..., None], jnp.add)[..., 0]
+    return shaded, jnp.where(asked, left, 0)
+
+
+def _levels(shape) -> Int[np.ndarray, "h w"]:
+    """The level whose pixels are each one's parents; of the coarsest lattice, which has none, one more."""
+    found = np.full(shape, LEVELS + 1, np.int32)
+    for level in range(LEVELS, 0, -1):
+        step = 2 ** (level - 1)
+        for down, right in ((0, 1), (1, 0), (1, 1)):
+            found[down * step :: 2 * step, right * step :: 2 * step] = level
+    return found
+
+
+@jax.jit
 def _filled(shaded, weights, image):
+    return _passed(shaded, weights, jnp.where(shaded[..., None], image, 0), lambda own, between: between)
+
+
+def _passed(shaded, weights, image, joined):
+    """Coarse to fine: shaded pixels keep their own, others join theirs with what their parents give them."""
     h, w = image.shape[:2]
-    shaded, image = _whole(shaded), _whole(jnp.moveaxis(jnp.where(shaded[..., None], image, 0), -1, 0))
+    shaded, image = _whole(shaded), _whole(jnp.moveaxis(image, -1, 0))
     found, weights = _lattice(image, LEVELS), iter(weights)
     for level in range(LEVELS - 1, -1, -1):
         coarse, new = _wider(found), [found]
@@ -262,7 +281,7 @@ def _filled(shaded, weights, image):
 
             own = _lattice(image, level, offset)
             between, _ = jax.lax.scan(added, jnp.zeros_like(own), (next(weights), _corners(offset, parents)))
-            new.append(jnp.where(_lattice(shaded, level, offset), own, between))
+            new.append(jnp.where(_lattice(shaded, level, offset), own, joined(own, between)))
         found = _woven(new)
     return jnp.moveaxis(found[:, :h, :w], 0, -1)
 

@@ -26,6 +26,8 @@ from jaxrelight.lights.pyramid import LightPyramid
 _TOGETHER = 1024
 # Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
 _LEAST_DISTANCE = 1e-3
+# Textures count as so many times faster: a checked one has all of its contrast at its bandwidth, where light has little.
+_OF_TEXTURES = 2.0
 # Surfaces seen more obliquely than this count as this; and mirrors turn no further from pixel to pixel.
 _LEAST_COSINE, _MOST_TURN = 0.02, 0.3
 
@@ -37,8 +39,9 @@ class Prediction(NamedTuple):
         radiance: the mean of the channels.
         variance: of one sample's estimate of it.
         contrast: radiance, and what edges of shadows may take from it or add.
-        angular: bandwidth of the reflected light by the direction in which the eye is mirrored, in cycles per radian.
-        spatial: bandwidth by place, in cycles per metre: of shadows.
+        angular: bandwidth of the reflected light by the direction in which the eye is mirrored, in cycles per radian;
+            the root mean square, as errors of what lies between grow with its square.
+        spatial: bandwidth by place, in cycles per metre: of shadows, and of BRDFs that differ by texel.
         image: bandwidth in the image, in cycles per pixel (eq. 5, joined by the average of eq. 4).
         largest: the same, joined by the maximum of figure 6.
         variance_of_bandwidth: what eq. 8 has for the variance.
@@ -120,15 +123,23 @@ def predict(
         # Mirrors turn twice as far as normals, and a pixel is longer where the surface is seen obliquely.
         turn = 2 * curvature * distance * pixel_angle * spacing / jnp.maximum(omega_o[2], _LEAST_COSINE)
         least = jnp.minimum(turn, _MOST_TURN) ** 2
+        width = distance * pixel_angle / jnp.sqrt(jnp.maximum(omega_o[2], _LEAST_COSINE))
+        texture = _OF_TEXTURES * part.texture_bandwidth(uv, footprint) / jnp.where(width > 0, width, 1)
 
         def sample(omega_i, density, *hidden):
             drawn = point.weighed(omega_i, density)
             own = point.bandwidth(drawn.omega_i)
             covered = jnp.maximum(drawn.solid_angle / samples, least)
             mean, square, varied = light.detail_at(_world(drawn.omega_i, frame), covered)
+            # A step has little energy at high frequencies. What lies between its ends is off by half its height all
+            # the same, which is twice the deviation: as a wave is whose bend is as large, 0.9 of one in a cell.
+            spread = jnp.maximum(square - mean**2, 0)
+            some = (spread > 0) & (mean > 0)
+            steep = 0.9 * jnp.sqrt(jnp.where(some, spread, 1) / covered) / jnp.where(some, mean, 1)
+            varied = jnp.maximum(varied, jnp.where(some, steep, 0))
             weight = jnp.mean(drawn.weight)
             arriving = Bandwidth(jnp.zeros_like(varied), varied)
-            leaving = reflected(arriving, drawn.omega_i[2], point.omega_o[2], curvature, own, jnp.zeros_like(own))
+            leaving = reflected(arriving, drawn.omega_i[2], point.omega_o[2], curvature, own, texture)
             # Seen from afar, what varies along the surface varies with the angle between pixels.
             seen = travelled(leaving, distance).a * pixel_angle
             whole, far = weight * mean, hidden[0] if hidden else jnp.full_like(mean, jnp.inf)
@@ -137,7 +148,7 @@ def predict(
                 "whole": whole,
                 "given": given,
                 "square": jnp.where(jnp.isinf(far), 1, unseen) * weight**2 * square,
-                "angular": given * jnp.minimum(own, varied),
+                "angular": given * jnp.minimum(own, varied) ** 2,
                 "edge": whole * own,
                 "spatial": jnp.where(jnp.isinf(far), 0, whole * own / jnp.maximum(far, _LEAST_DISTANCE * distance)),
                 "image": given * seen,
@@ -157,8 +168,8 @@ def predict(
             radiance,
             jnp.maximum(found["square"] - radiance**2, 0),
             radiance + edge * whole,
-            found["angular"] / some + edge * found["edge"] / all_of_it,
-            edge * found["spatial"] / taken,
+            jnp.sqrt(jnp.maximum(found["angular"] / some, 1e-12)) + edge * found["edge"] / all_of_it,
+            jnp.maximum(edge * found["spatial"] / taken, texture),
             found["image"] / some,
             jnp.max(every["largest"]),
             found["varied"],

@@ -7,12 +7,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrelight.brdf.bandwidth import BandwidthTable, bandwidth_table, lobe_bandwidth, with_cosine
+from jaxrelight.brdf.bandwidth import BandwidthTable, bandwidth_table, lobe_bandwidth, texture_bandwidth, with_cosine
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.half_sampling import HalfVectors, HalfVectorSampler, half_vectors
 from jaxrelight.brdf.lobe_sampling import LobeSampler
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
+from jaxrelight.brdf.texture import Texture
 
 
 class Sampled(eqx.Module):
@@ -22,11 +23,13 @@ class Sampled(eqx.Module):
         brdf: sums of lobes draw by their lobes, and need neither of the others.
         half: the distribution of half vectors.
         table: of bandwidth.
+        map: of one for every texel, its bandwidth in cycles per texel.
     """
 
     brdf: Brdf | PackedLobes
     half: HalfVectors | None = None
     table: BandwidthTable | None = None
+    map: Texture | None = None
 
     def towards(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Float[Array, ""]) -> "TowardsEye":
         """What one point reflects to the eye."""
@@ -39,6 +42,14 @@ class Sampled(eqx.Module):
             assert isinstance(brdf, LobeSum)
             sampler = LobeSampler(brdf, omega_o)
         return TowardsEye(self, brdf, jax.lax.stop_gradient(sampler), omega_o, above)
+
+    def texture_bandwidth(self, uv: Float[Array, "2"], footprint: Float[Array, ""]) -> Float[Array, ""]:
+        """With which the BRDF itself varies from pixel to pixel, in cycles per pixel; 0 where it is one for all."""
+        if self.map is None:
+            return jnp.zeros((), uv.dtype)
+        h, w = self.map.shape
+        across = jnp.sqrt(jnp.maximum(footprint, 0)) * max(h, w)
+        return jnp.minimum(self.map.look_up(uv)[0] * across, 0.5)
 
 
 class Drawn(NamedTuple):
@@ -89,7 +100,9 @@ class TowardsEye(eqx.Module):
 
 
 def sampled(brdf: Brdf | PackedLobes) -> Sampled:
-    """Finds what draws directions for a BRDF; seconds for one that is no sum of lobes."""
-    if isinstance(brdf, LobeSum | PackedLobes):
+    """Finds what draws directions for a BRDF, and its bandwidth; seconds for one that is no sum of lobes."""
+    if isinstance(brdf, LobeSum):
         return Sampled(brdf)
+    if isinstance(brdf, PackedLobes):
+        return Sampled(brdf, map=texture_bandwidth(brdf))
     return Sampled(brdf, half_vectors(brdf), bandwidth_table(brdf))

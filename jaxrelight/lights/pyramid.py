@@ -61,7 +61,8 @@ class LightPyramid(eqx.Module):
 
     Attributes:
         radiance: three channels.
-        detail: radiance, its square, and radiance times bandwidth in cycles per radian, of the mean of the channels.
+        detail: of the mean of the channels, radiance, its square, and radiance times the square of bandwidth in cycles
+            per radian.
         sun: what outshines all that by far is not among it; as the environment is turned by 0.
         turn: by which it is turned about +y, as a part of the circle.
     """
@@ -85,9 +86,10 @@ class LightPyramid(eqx.Module):
     def detail_at(
         self, omega: Float[Array, "3"], solid_angle: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """Mean radiance, mean square and bandwidth of about a solid angle around a direction."""
+        """Mean radiance, its mean square and root-mean-square bandwidth of about a solid angle around a direction."""
         mean, square, varied = self.detail.look_up(*self._place(omega), solid_angle)
-        return mean, square, jnp.where(mean > 0, varied / jnp.where(mean > 0, mean, 1), 0)
+        some = (mean > 0) & (varied > 0)
+        return mean, square, jnp.where(some, jnp.sqrt(jnp.where(some, varied, 1) / jnp.where(some, mean, 1)), 0)
 
     def _place(self, omega):
         u, v = latlong.finite_coordinates(omega)
@@ -111,7 +113,7 @@ def light_pyramid(environment: Environment) -> LightPyramid:
     bandwidth = light_bandwidth(pixels)
     grey = pixels.mean(axis=2, keepdims=True)
     finest = latlong.resized(np.concatenate([grey, grey**2], axis=2), len(bandwidth), 2 * len(bandwidth))
-    finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None]], axis=2)
+    finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None] ** 2], axis=2)
     rows = min(len(bandwidth), _ROWS)
     detail = cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
     return LightPyramid(cells(pixels), detail, sun, jnp.asarray(environment.rotate_y / 360, jnp.float32))

@@ -155,9 +155,10 @@ def test_textures_ask_for_no_shading():
     assert (share.min(), share.max()) == (0, pytest.approx(1, abs=0.1))
 
 
-def test_texels_of_an_sbrdf_are_not_interpolated_between_pixels():
-    """Stripes of gloss, as fine as the pixels that see them."""
-    stripes = np.arange(64) % 2
+@pytest.mark.parametrize("texels", [64, 2])
+def test_an_sbrdf_is_shaded_where_it_varies(texels: int):
+    """Stripes of gloss, as fine as the pixels that see them; and two of them, wide."""
+    stripes = np.repeat(np.arange(texels) % 2, 64 // texels)
     arrays = {
         "diffuse": np.where(stripes[:, None], 0.5, 0.05) * np.ones(3),
         "C": np.tile([[[-1.0, -1, 1]]], (64, 1, 1)),
@@ -170,6 +171,11 @@ def test_texels_of_an_sbrdf_are_not_interpolated_between_pixels():
     plan = one.plan(sky(), samples=64)
     exact = one.uniform(sky(), 1024, 7, filtered=True)
     assert off(one.shade(plan, sky()), exact, one.seen.covered) < 0.015
+    m = next(of for of in one.seen.materials if of.name == "floor")
+    number = np.asarray(m.pixels.pixel)
+    number = number[number < one.seen.covered.size]
+    shaded = np.asarray(plan.layers[0].counts).ravel()[number] > 0
+    assert (shaded.mean() > 0.9) == (texels == 64)
 
 
 def test_a_wire_one_pixel_wide_is_not_lost():

@@ -1,0 +1,109 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: py:percent
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+# ---
+
+# %% [markdown]
+# # Waves under a sky, with nothing precomputed
+#
+# A glossy sheet of water swells from frame to frame, and a ball swims on it. Transport would have to be computed anew
+# for every frame; shading by predicted bandwidth asks only what this frame needs: which pixels, and how many samples
+# of the sky in each. Run it as a script, or open it as a notebook with jupytext.
+
+# %%
+import dataclasses
+import pathlib
+import sys
+import time
+
+import jax
+import numpy as np
+
+import jaxrelight as jr
+from jaxrelight.images.false_colour import false_colour
+from jaxrelight.lighting.adaptive import AdaptiveShader
+from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lights.pyramid import light_pyramid
+
+folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else ".")
+camera = jr.Camera((0, 1.0, 3.2), (0, 0.05, 0), fov_y=36.0, width=320, height=200)
+materials = {"water": jr.phong([0.01, 0.03, 0.04], 0.45, 400.0), "ball": jr.phong([0.5, 0.12, 0.05], 0.15, 60.0)}
+
+
+def height(x, z, t):
+    """Three waves that travel."""
+    waves = ((3.1, 1.2, 2.0, 0.05), (-1.7, 4.3, 2.6, 0.03), (6.0, -2.2, 3.7, 0.015))
+    return sum(a * np.sin(p * x + q * z - w * t) for p, q, w, a in waves)
+
+
+def displaced(t, steps=160):
+    """A grid of the waves' heights; its normals follow from its faces."""
+    flat = jr.plane((5, 5), steps)
+    x, _, z = flat.vertices.T
+    return jr.Mesh(np.stack([x, height(x, z, t), z], axis=1), flat.faces)
+
+
+def scene_at(t):
+    """The sheet and the ball at a time."""
+    ball = jr.sphere(0.28, 24)
+    place = np.array([0.1, 0.15 + height(0.1, 0.3, t), 0.3])
+    ball = dataclasses.replace(ball, vertices=ball.vertices + place)
+    return jr.Scene([jr.Part(displaced(t), "water"), jr.Part(ball, "ball")], materials, camera, name="waves")
+
+
+# %% [markdown]
+# ## A sky
+#
+# Blue above, bright at the horizon, a row of clouds, and a sun: that one is split off and lit by shadow rays.
+
+# %%
+v, u = (np.indices((256, 512)) + 0.5) / np.array([[[256]], [[512]]])
+blue = np.array([0.25, 0.45, 0.9]) * (0.4 + 0.6 * v[..., None]) + 0.5 * np.exp(-((v[..., None] - 0.5) ** 2) / 0.003)
+cloud = np.clip(np.sin(40 * u + 3 * np.sin(17 * v)) * np.sin(30 * v) - 0.3, 0, 1)[..., None]
+pixels = np.where(v[..., None] < 0.5, blue + 1.6 * cloud, 0.06)
+pixels[70:72, 200:202] = 4e3
+sky = light_pyramid(jr.environment(pixels.astype(np.float32)))
+
+# %% [markdown]
+# ## Frame after frame
+#
+# What is compiled for the first frame is used for all others, and so are the tables that draw directions for each
+# material.
+
+# %%
+frames, maps, parts = [], [], None
+for number in range(6):
+    start = time.perf_counter()
+    scene = scene_at(0.35 * number)
+    shader = AdaptiveShader(look_at(scene), camera, parts)
+    parts = shader.parts
+    traced = time.perf_counter()
+    plan = shader.plan(sky, tolerance=0.015, shadows=True)
+    planned = time.perf_counter()
+    frames.append(np.asarray(jax.block_until_ready(shader.shade(plan, sky))))
+    done = time.perf_counter()
+    covered = shader.seen.covered
+    maps.append(false_colour(plan.maps()["samples"], covered, octaves=True)[0])
+    print(
+        f"frame {number}: {plan.samples / covered.sum():.0f} samples a pixel, {plan.shaded / covered.sum():.0%} shaded; "
+        f"view {traced - start:.2f} s, plan {planned - traced:.2f} s, shade {done - planned:.2f} s"
+    )
+
+# %% [markdown]
+# Above the frames, below them the samples that each pixel got.
+
+# %%
+rows = [np.concatenate(row[::2], axis=1) for row in (frames, maps)]
+jr.write_image(folder / "moving_surfaces.png", np.concatenate(rows).astype(np.float32))
+
+# %% [markdown]
+# Against 512 samples in every pixel, the last frame:
+
+# %%
+even = np.asarray(shader.uniform(sky, 512, 7, shadows=True))
+wanted, found = (np.clip(x[covered], 0, 1) ** (1 / 2.2) for x in (even, frames[-1]))
+print(f"error of displayed values {np.sqrt(np.mean((wanted - found) ** 2)):.4f}")
