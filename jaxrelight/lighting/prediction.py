@@ -26,7 +26,7 @@ from jaxrelight.lights.pyramid import LightPyramid
 _TOGETHER = 1024
 # Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
 _LEAST_DISTANCE = 1e-3
-# Textures count as so many times faster: a checked one has all of its contrast at its bandwidth, where light has little.
+# Textures count as so many times faster: a checked one has all its contrast at its bandwidth, where light has little.
 _OF_TEXTURES = 2.0
 # Surfaces seen more obliquely than this count as this; and mirrors turn no further from pixel to pixel.
 _LEAST_COSINE, _MOST_TURN = 0.02, 0.3

@@ -5,16 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.bandwidth import (
     bandwidth_table,
     compressed,
     from_square,
-    is_isotropic,
     lobe_bandwidth,
+    texture_bandwidth,
     to_square,
 )
 from jaxrelight.brdf.lobes import lambert, phong
+from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
 
 
 def test_square_and_back():
@@ -58,10 +58,7 @@ def test_sharper_lobes_have_more():
     assert found[2] > 3 * found[0]
 
 
-def test_isotropic_or_not():
-    assert is_isotropic(phong(0.1, 0.4, 50))
-    assert not is_isotropic(ashikhmin_shirley(0.1, 0.5, 10, 500))
-    # Turned about the normal, an isotropic table says the same.
+def test_an_isotropic_table_turns():
     table = bandwidth_table(phong(0, 0.5, 50), 64)
     one = table.look_up(jnp.asarray([-0.6, 0, 0.8]), jnp.asarray([0.6, 0, 0.8]))
     other = table.look_up(jnp.asarray([0, -0.6, 0.8]), jnp.asarray([0, 0.6, 0.8]))
@@ -74,3 +71,32 @@ def test_principal_components_hold_most():
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-5
     assert errors[3] < 0.5 * errors[0]
+
+
+def spatial(exponent) -> PackedLobes:
+    """Maps that differ by texel in their exponents alone."""
+    h, w = exponent.shape
+    maps = {
+        "diffuse": np.full((h, w, 3), 0.2),
+        "C": np.tile([[[[-1.0, -1, 1]]]], (h, w, 1, 1)),
+        "exponent": exponent[..., None],
+        "scale": np.full((h, w, 1, 3), 0.3),
+        "axis": np.tile([[[1.0, 0.0]]], (h, w, 1)),
+    }
+    return SpatialLobes(**{name: jnp.asarray(of, jnp.float32) for name, of in maps.items()}).packed()
+
+
+def test_maps_vary_where_any_of_their_parameters_does():
+    exponent = np.full((64, 64), 20.0)
+    exponent[:32, :32] = np.where(np.indices((32, 32)).sum(axis=0) % 2, 5, 200)
+    found = np.asarray(texture_bandwidth(spatial(exponent)).pixels)[..., 0]
+    assert found[4:28, 4:28].min() > 0.3
+    assert found[44:52, 44:52].max() < 0.1
+    assert not np.asarray(texture_bandwidth(spatial(np.full((16, 16), 20.0))).pixels).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 64), (1, 1), (40, 24)])
+def test_maps_of_any_size_have_a_bandwidth(shape):
+    found = texture_bandwidth(spatial(np.random.default_rng(0).uniform(1, 100, shape)))
+    assert found.shape == shape
+    assert np.isfinite(found.pixels).all()

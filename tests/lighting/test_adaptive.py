@@ -82,6 +82,7 @@ def test_budgets_are_kept_and_more_is_better():
     assert errors[1] < 0.5 * even
 
 
+@pytest.mark.slow
 def test_lambert_under_a_constant_sky_is_exact_and_hardly_shaded():
     camera = dataclasses.replace(CAMERA, width=240, height=200)
     seen = look_at(Scene([Part(sphere(1, 48), "skin")], {"skin": lambert(0.6)}, camera, name="ball"))

@@ -117,3 +117,19 @@ def test_an_edge_is_not_bridged(place: float, way: tuple[float, float]):
     between = hierarchy(features(angular=np.where(np.abs(away) < 2.5, 40, 0.05))).within(0.02)
     assert float(between.shaded.mean()) < 0.25
     np.testing.assert_allclose(between.filled(jnp.asarray(image)[..., None])[..., 0], image, atol=0.02)
+
+
+def test_errors_of_parents_are_passed_on():
+    """To the error of lying between shaded ones comes what others are off themselves; to those of none, nothing."""
+    found = plain().within(0.4)
+    own, left, shaded = (np.asarray(of) for of in (found.error, found.left, found.shaded))
+    assert (left[shaded] == 0).all()
+    assert (left[~shaded] >= 0.999 * own[~shaded]).all()
+    assert (left[~shaded] > 1.5 * own[~shaded]).mean() > 0.5
+
+
+def test_coarse_pixels_are_shaded_for_smaller_errors():
+    found = plain().within(0.2)
+    level, own = np.asarray(found.levels()), np.asarray(found.error)
+    most = [own[level == of].max(initial=0) for of in range(1, LEVELS + 1)]
+    assert all(one <= 0.2 / 2**of + 1e-6 for of, one in enumerate(most, start=1))
