@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jaxrelight.brdf.spatial import Minification
-    from jaxrelight.lighting.adaptive import Plan
+    from jaxrelight.lighting.planning import Plan
     from jaxrelight.scene import Scene
 
 # Root-mean-square error of displayed values, unless something else is asked for.
@@ -60,11 +60,9 @@ def adaptive_picture(
 
     from jaxrelight.commands.progress import notes
     from jaxrelight.commands.relight import timed
-    from jaxrelight.commands.summary import versions
+    from jaxrelight.commands.seen_picture import written
     from jaxrelight.errors import InputError
-    from jaxrelight.images import write_image
     from jaxrelight.lighting.adaptive import AdaptiveShader
-    from jaxrelight.lighting.antialiasing import averaged
     from jaxrelight.lighting.prefiltered import look_at
     from jaxrelight.lights.pyramid import light_pyramid
 
@@ -113,23 +111,7 @@ def adaptive_picture(
             told["maps"] = _write_maps(maps, plan, seen.covered)
     with timed(seconds, "lights"):
         image = image + np.asarray(seen.lit_by(scene.lights, shadows))
-    if environment is not None and picture.background == "environment":
-        image = np.where(seen.covered[..., None], image, np.asarray(seen.background(environment)))
-    image = np.concatenate([image, seen.covered[..., None]], axis=-1, dtype=np.float32)
-    image = np.asarray(averaged(jax.numpy.asarray(image), factor))
-    shown = image[..., 3] > 0
-    with timed(seconds, "write"):
-        write_image(output, image, picture.exposure)
-    return {
-        "picture": str(output),
-        "width": scene.camera.width,
-        "height": scene.camera.height,
-        "covered": float(seen.covered.mean()),
-        "mean_radiance": float(image[shown][:, :3].mean()) if shown.any() else 0.0,
-        "lights": len(scene.lights),
-        **told,
-        "versions": versions(),
-    }
+    return {**written(scene, seen, image, environment, output, picture, seconds, factor), **told}
 
 
 def _write_maps(folder: pathlib.Path, plan: "Plan", covered: "np.ndarray") -> dict[str, list[float]]:

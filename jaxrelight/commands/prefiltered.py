@@ -42,8 +42,7 @@ def prefiltered_picture(
 
     from jaxrelight.commands.progress import notes
     from jaxrelight.commands.relight import timed
-    from jaxrelight.commands.summary import versions
-    from jaxrelight.images import write_image
+    from jaxrelight.commands.seen_picture import written
     from jaxrelight.lighting.prefiltered import look_at
     from jaxrelight.lights.prefiltered import prefilter
 
@@ -65,18 +64,4 @@ def prefiltered_picture(
             image = image + np.asarray(seen.under(maps, environment.rotate_y, environment.scale, texels=texels))
     with timed(seconds, "lights"):
         image = image + np.asarray(seen.lit_by(scene.lights, shadows, texels))
-    if environment is not None and picture.background == "environment":
-        image = np.where(seen.covered[..., None], image, np.asarray(seen.background(environment)))
-    image = np.concatenate([image, seen.covered[..., None]], axis=-1, dtype=np.float32)
-    with timed(seconds, "write"):
-        write_image(output, image, picture.exposure)
-    return {
-        "picture": str(output),
-        "width": scene.camera.width,
-        "height": scene.camera.height,
-        "covered": float(seen.covered.mean()),
-        "mean_radiance": float(image[seen.covered][:, :3].mean()) if seen.covered.any() else 0.0,
-        "lights": len(scene.lights),
-        "maps_bytes": maps_bytes,
-        "versions": versions(),
-    }
+    return {**written(scene, seen, image, environment, output, picture, seconds), "maps_bytes": maps_bytes}

@@ -5,7 +5,6 @@ each of them gets, and the weights by which all others lie between them. Compone
 multiplied by its textures in every pixel, so textures never ask for shading.
 """
 
-import dataclasses
 import functools
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -21,20 +20,15 @@ from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.curvature import curvature
-from jaxrelight.lighting.estimate import RUN, Blocked, estimate
-from jaxrelight.lighting.hierarchy import Features, Hierarchy, hierarchy
+from jaxrelight.lighting.estimate import Blocked, estimate
+from jaxrelight.lighting.hierarchy import Features, hierarchy
 from jaxrelight.lighting.pixels import padded
+from jaxrelight.lighting.planning import Asked, Noise, Plan, planned
 from jaxrelight.lighting.prediction import Prediction, directions, draw, predict
 from jaxrelight.lighting.prefiltered import Seen, SeenMaterial, SurfacePixels
-from jaxrelight.lighting.random_numbers import MOST
 from jaxrelight.lighting.sampled import Sampled, sampled
 from jaxrelight.lights.pyramid import LightPyramid
 
-# Errors between parents that are tried, and the first of them; 0 shades every pixel.
-_TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
-_FIRST = 8
-# Of the predicted error, the root mean square of what is found: 0.03 of bumpy meshes, 0.1 of smooth ones under edges.
-_OF_PREDICTED = 0.05
 # How noise falls is tried out on so many pixels of each component, with few and with more samples, against many.
 _TRIED, _FEW, _MORE, _EXACT = 384, 32, 256, 512
 # By what powers of the number of samples error² can fall: random numbers' 1, and somewhat beyond that of even ones.
@@ -45,83 +39,6 @@ _TRIALS = -1, -2
 Report = Callable[[str, int, int], None]
 # Components' BRDFs of each material.
 Parts = Sequence[Sequence[Sampled]]
-
-
-class Noise(NamedTuple):
-    """Error² of n samples is factor · variance / n^power: even numbers and filtered light do better than 1 / n."""
-
-    factor: float
-    power: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Layer:
-    """What is shaded of the components with the same number in their materials.
-
-    Attributes:
-        between: where to shade, and what lies between.
-        counts: samples of each pixel.
-        bandwidth: that is predicted in the image, in cycles per pixel.
-        deviation: of one sample, in displayed values.
-        noise: how its error falls with their number.
-    """
-
-    between: Hierarchy
-    counts: Int[np.ndarray, "h w"]
-    bandwidth: Float[Array, "h w"]
-    deviation: Float[Array, "h w"]
-    noise: "Noise"
-
-    @property
-    def error(self) -> Float[Array, "h w"]:
-        """That is predicted of each pixel, in displayed values."""
-        noise = self.noise.factor * self.deviation**2 * jnp.maximum(self.counts, 1.0) ** -self.noise.power
-        return jnp.sqrt(self.between.spread(noise) + (_OF_PREDICTED * self.between.left) ** 2)
-
-
-@dataclasses.dataclass(frozen=True)
-class Plan:
-    """Where to shade, and how well.
-
-    Attributes:
-        shape: rows and columns of the view.
-        layers: of components; none where no surface is seen.
-        interpolation: root-mean-square error of displayed values that is predicted for what lies between.
-        noise: that of samples.
-        shadows: whether surfaces hide the environment.
-    """
-
-    shape: tuple[int, int]
-    layers: tuple[Layer, ...]
-    interpolation: float
-    noise: float
-    shadows: bool
-
-    @property
-    def samples(self) -> int:
-        """Of all pixels and components."""
-        return sum(int(layer.counts.sum()) for layer in self.layers)
-
-    @property
-    def shaded(self) -> int:
-        """How many pixels are, each component counted."""
-        return sum(int(np.count_nonzero(layer.counts)) for layer in self.layers)
-
-    def maps(self) -> dict[str, Float[np.ndarray, "h w"]]:
-        """Pictures of the plan, of all layers together.
-
-        Bandwidth in cycles per pixel; the level of each pixel's parents, 0 where it is shaded; samples; and the error
-        that is predicted, in displayed values.
-        """
-        if not self.layers:
-            return {name: np.zeros(self.shape) for name in ("bandwidth", "level", "samples", "error")}
-        layers = self.layers
-        return {
-            "bandwidth": np.max([layer.bandwidth for layer in layers], axis=0),
-            "level": np.min([layer.between.levels() for layer in layers], axis=0).astype(float),
-            "samples": np.sum([layer.counts for layer in layers], axis=0).astype(float),
-            "error": np.sqrt(np.sum([np.asarray(layer.error, float) ** 2 for layer in layers], axis=0)),
-        }
 
 
 class AdaptiveShader:
@@ -239,39 +156,9 @@ class AdaptiveShader:
             raise InputError("samples and tolerance of adaptive shading must be above 0")
         predicted = predicted or self.predicted(light, shadows=shadows)
         asked = [self._asked(k, predicted, white) for k in range(max(map(len, self.parts), default=0))]
-        pixels = max(int(self.seen.covered.sum()), 1)
-        noise = self._noise(light, asked, shadows)
-        tried: dict[int, _Candidate] = {}
-
-        def cost(step: int) -> float:
-            """The error of a budget, or the budget of an error."""
-            if step not in tried:
-                layers = [_candidate(one, _TOLERANCES[step], noise.power) for one in asked]
-                tried[step] = _Candidate(
-                    layers,
-                    sum(layer.error for layer in layers) / pixels,
-                    sum(layer.spread for layer in layers),
-                    sum(layer.shaded for layer in layers) * RUN,
-                    samples and samples * pixels / self.factor**2,
-                    tolerance,
-                    pixels,
-                    pixels / self.factor**2,
-                    noise,
-                )
-            return tried[step].cost
-
-        step = _FIRST
-        for way in (-1, 1):
-            while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
-                step += way
-        best = tried[step]
-        counts = _counts([(layer.wanted, layer.between.shaded) for layer in best.layers], best.budget)
-        layers = [
-            Layer(layer.between, each, one.bandwidth, one.deviation, noise)
-            for one, layer, each in zip(asked, best.layers, counts, strict=True)
-        ]
-        between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
-        return Plan(self.seen.covered.shape, tuple(layers), between, noisy, shadows)  # pyright: ignore[reportArgumentType]
+        pixels, noise = max(int(self.seen.covered.sum()), 1), self._noise(light, asked, shadows)
+        rows, columns = self.seen.covered.shape
+        return planned(asked, noise, (rows, columns), pixels, self.factor, samples, tolerance, shadows)
 
     def shade(
         self,
@@ -329,7 +216,7 @@ class AdaptiveShader:
         """A few directions, in every pixel: no sample would find them."""
         return self.seen.lit_by([light.turned_sun()], shadows)
 
-    def _noise(self, light: LightPyramid, asked: Sequence["_Asked"], shadows: bool) -> Noise:
+    def _noise(self, light: LightPyramid, asked: Sequence[Asked], shadows: bool) -> Noise:
         """Tried out on few pixels: skies and materials differ in how soon samples meet all there is."""
         found, expected = {_FEW: 0.0, _MORE: 0.0}, {_FEW: 0.0, _MORE: 0.0}
         for one in asked:
@@ -367,7 +254,7 @@ class AdaptiveShader:
         """What a material's pixels have of an image; 0 for padding."""
         return np.append(image.ravel(), 0)[np.minimum(m.pixels.pixel, image.size)]
 
-    def _asked(self, k: int, predicted, white: float) -> "_Asked":
+    def _asked(self, k: int, predicted, white: float) -> Asked:
         """What the light of component k is predicted to depend on, the largest around each pixel."""
         found = []
         for m, probe, parts in zip(self.seen.materials, self.probes, predicted, strict=True):
@@ -395,7 +282,7 @@ class AdaptiveShader:
             if k < len(parts):
                 kind = np.where(self._material == number, number, kind)
         features = Features(jnp.asarray(kind), self._mirrored, angular, self._position, spatial, contrast)
-        return _Asked(k, hierarchy(features), visible, deviation, bandwidth)
+        return Asked(k, hierarchy(features), visible, deviation, bandwidth)
 
     @functools.cached_property
     def _mirrored(self) -> Float[Array, "h w 3"]:
@@ -431,80 +318,6 @@ class _Probe(NamedTuple):
     point: Int[np.ndarray, " r"]
 
 
-class _Asked(NamedTuple):
-    """How one layer's pixels hang together, and how much of an error is seen; see `Layer` for the others."""
-
-    number: int
-    between: Hierarchy
-    visible: Float[Array, "h w"]
-    deviation: Float[Array, "h w"]
-    bandwidth: Float[Array, "h w"]
-
-
-class _CandidateLayer(NamedTuple):
-    """Where to shade, and what that leaves: Σ error² between, and what samples go by, pixel by pixel and in all."""
-
-    between: Hierarchy
-    wanted: Float[Array, "h w"]
-    error: float
-    spread: float
-    shaded: int
-
-
-@dataclasses.dataclass(frozen=True)
-class _Candidate:
-    """One way to plan.
-
-    Attributes:
-        layers: where to shade.
-        error: mean error² of what lies between.
-        spread: what samples go by.
-        least: the fewest samples there can be.
-        given: samples in all, or None for a
-        tolerance: of the error.
-        pixels: of the view.
-        shown: of the picture, each of one or more of those.
-        noise: of samples.
-    """
-
-    layers: list[_CandidateLayer]
-    error: float
-    spread: float
-    least: int
-    given: float | None
-    tolerance: float | None
-    pixels: int
-    shown: float
-    noise: Noise
-
-    def error_of(self, budget: float) -> float:
-        """Mean error² of so many samples in the picture's pixels.
-
-        Each of those is a mean over as many samples of the surface as it has, whose noise is their own where they are
-        shaded, and the same where they lie between others.
-        """
-        factor, power = self.noise
-        apart = max(self.least / RUN / self.shown, 1)
-        return factor * self.spread ** (1 + power) / (self.pixels * apart) * max(budget, 1) ** -power
-
-    @property
-    def budget(self) -> float:
-        """Samples in all: those given, or what keeps the error within the tolerance, as far as samples reach."""
-        if self.given is not None:
-            return max(self.given, self.least)
-        assert self.tolerance is not None
-        left = max(self.tolerance**2 - self.error, 1e-3 * self.tolerance**2)
-        return max((self.error_of(1) / left) ** (1 / self.noise.power), self.least)
-
-    @property
-    def cost(self) -> float:
-        """What is to be as small as possible."""
-        if self.given is None:
-            return self.budget
-        # Of those that do not fit, the fewest samples.
-        return self.error + self.error_of(self.budget) if self.least <= self.given else 1e6 + self.least
-
-
 def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
     """How fast the displayed value, in sRGB and clipped at 1, grows with the linear one.
 
@@ -513,40 +326,6 @@ def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
     inside = jnp.clip(value, 0.0031308, 1)
     slope = jnp.where(value <= 0.0031308, 12.92, 1.055 / 2.4 * inside ** (1 / 2.4 - 1))
     return slope / jnp.maximum(value, 1) ** 2
-
-
-def _candidate(asked: _Asked, tolerance: float, power: float) -> _CandidateLayer:
-    between = asked.between.within(tolerance)
-    wanted, error, spread, shaded = _work(between, between.influence(), asked.deviation, power)
-    return _CandidateLayer(between, wanted, float(error), float(spread), int(shaded))
-
-
-def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
-    """Whole runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget."""
-    wanted = [np.asarray(of, float) / RUN for of, _ in layers]
-    shaded = [np.asarray(of) for _, of in layers]
-
-    def at(scale: float):
-        return [
-            np.where(of, np.clip(np.round(scale * one), 1, MOST // RUN) * RUN, 0).astype(np.int32)
-            for one, of in zip(wanted, shaded, strict=True)
-        ]
-
-    low, high = (
-        0.0,
-        2 * budget / max(sum(float(np.sum(one[of])) for one, of in zip(wanted, shaded, strict=True)), 1e-30),
-    )
-    for _ in range(16):
-        middle = (low + high) / 2
-        low, high = (low, middle) if sum(int(each.sum()) for each in at(middle)) > budget else (middle, high)
-    return at(low)
-
-
-@jax.jit
-def _work(between, influence, deviation, power):
-    wanted = (influence * deviation**2) ** (1 / (1 + power))
-    error = _OF_PREDICTED**2 * jnp.sum(between.left**2)
-    return wanted, error, jnp.sum(wanted), jnp.sum(between.shaded)
 
 
 @functools.partial(jax.jit, static_argnames="size")

@@ -19,8 +19,9 @@ from jaxrelight.brdf.tabulated import Tabulated
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_decode, srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive import AdaptiveShader, Parts, Plan
+from jaxrelight.lighting.adaptive import AdaptiveShader, Parts
 from jaxrelight.lighting.antialiasing import averaged
+from jaxrelight.lighting.planning import Plan
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lighting.random_numbers import even_numbers
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
@@ -136,6 +137,8 @@ def compare(report: Report, meshes, materials, size: int, samples: int, *, shado
             even, seconds = _even_filtered(case, wanted)
             rows[-1] += [alone[2], f"{baseline / seconds:.1f}× ({even})"]
             rows[-1].insert(1, f"{baseline:.1f} s, {wanted:.1f} dB")
+            # The table follows after hours.
+            print(rows[-1], flush=True)
     report.text(
         ("With shadows, on a floor" if shadows else "Without shadows")
         + ": the baseline's time and quality; samples of adaptive shading on average, its time, how many times faster; "

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxrelight import write_image
-from tests.commands.running import DIALS, SCENE, run
+from tests.commands.running import DIALS, LAMP, SCENE, run
 
 
 @pytest.fixture(autouse=True)
@@ -22,6 +22,17 @@ def folder(tmp_path, monkeypatch) -> pathlib.Path:
     write_image(tmp_path / "sky.exr", pixels)
     write_image(tmp_path / "other.hdr", pixels[::-1] + 1)
     (tmp_path / "scene.toml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def lit_scenes(tmp_path, monkeypatch) -> pathlib.Path:
+    """Where commands run: the scene under an even sky, a lamp, both of them and neither."""
+    write_image(tmp_path / "sky.exr", np.full((8, 16, 3), 0.5, np.float32))
+    dark = SCENE.replace('[environment]\nfile = "sky.exr"\n', "")
+    for name, text in {"sky": SCENE, "lamp": dark + LAMP, "both": SCENE + LAMP, "dark": dark}.items():
+        (tmp_path / f"{name}.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -36,6 +36,7 @@ radius = 0.4
 resolution = 3
 material = "gloss"
 """
+LAMP = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
 DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
 
 

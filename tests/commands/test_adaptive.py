@@ -3,20 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxrelight import read_image, write_image
-from tests.commands.running import SCENE, refusal_of, run, summary_of
+from jaxrelight import read_image
+from tests.commands.running import refusal_of, run, summary_of
 
-LIGHT = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
-DARK = SCENE.replace('[environment]\nfile = "sky.exr"\n', "")
-
-
-@pytest.fixture(autouse=True)
-def _folder(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.chdir(tmp_path)
-    write_image("sky.exr", np.full((8, 16, 3), 0.5, np.float32))
-    for name, text in {"sky": SCENE, "lamp": DARK + LIGHT, "both": SCENE + LIGHT, "dark": DARK}.items():
-        (tmp_path / f"{name}.toml").write_text(text)
+pytestmark = pytest.mark.usefixtures("lit_scenes")
 
 
 def picture(name: str, *dials) -> tuple[np.ndarray, dict]:
