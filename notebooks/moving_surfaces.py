@@ -34,17 +34,22 @@ camera = jr.Camera((0, 1.0, 3.2), (0, 0.05, 0), fov_y=36.0, width=320, height=20
 materials = {"water": jr.phong([0.01, 0.03, 0.04], 0.45, 400.0), "ball": jr.phong([0.5, 0.12, 0.05], 0.15, 60.0)}
 
 
+WAVES = ((3.1, 1.2, 2.0, 0.05), (-1.7, 4.3, 2.6, 0.03), (6.0, -2.2, 3.7, 0.015))
+
+
 def height(x, z, t):
     """Three waves that travel."""
-    waves = ((3.1, 1.2, 2.0, 0.05), (-1.7, 4.3, 2.6, 0.03), (6.0, -2.2, 3.7, 0.015))
-    return sum(a * np.sin(p * x + q * z - w * t) for p, q, w, a in waves)
+    return sum(a * np.sin(p * x + q * z - w * t) for p, q, w, a in WAVES)
 
 
 def displaced(t, steps=160):
-    """A grid of the waves' heights; its normals follow from its faces."""
+    """A grid of the waves' heights, and their normals."""
     flat = jr.plane((5, 5), steps)
     x, _, z = flat.vertices.T
-    return jr.Mesh(np.stack([x, height(x, z, t), z], axis=1), flat.faces)
+    slopes = [sum(a * wave[k] * np.cos(wave[0] * x + wave[1] * z - wave[2] * t) for *wave, a in WAVES) for k in (0, 1)]
+    normals = np.stack([-slopes[0], np.ones_like(x), -slopes[1]], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return dataclasses.replace(flat, vertices=np.stack([x, height(x, z, t), z], axis=1), normals=normals)
 
 
 def scene_at(t):
@@ -87,9 +92,9 @@ for number in range(6):
     frames.append(np.asarray(jax.block_until_ready(shader.shade(plan, sky))))
     done = time.perf_counter()
     covered = shader.seen.covered
-    maps.append(false_colour(plan.maps()["samples"], covered, octaves=True)[0])
+    maps.append(false_colour(plan.maps()["samples"], covered, octaves=True)[0][..., :3])
     print(
-        f"frame {number} {plan.samples / covered.sum():.0f} samples a pixel, {plan.shaded / covered.sum():.0%} shaded "
+        f"frame {number}: {plan.samples / covered.sum():.0f} samples a pixel, {plan.shaded / covered.sum():.0%} shaded; "
         f"view {traced - start:.2f} s, plan {planned - traced:.2f} s, shade {done - planned:.2f} s"
     )
 
