@@ -94,7 +94,8 @@ for number in range(6):
     covered = shader.seen.covered
     maps.append(false_colour(plan.maps()["samples"], covered, octaves=True)[0][..., :3])
     print(
-        f"frame {number}: {plan.samples / covered.sum():.0f} samples a pixel, {plan.shaded / covered.sum():.0%} shaded; "
+        f"frame {number}: {plan.samples / covered.sum():.0f} samples a pixel, "
+        f"{plan.shaded / covered.sum():.0%} shaded; "
         f"view {traced - start:.2f} s, plan {planned - traced:.2f} s, shade {done - planned:.2f} s"
     )
 
