@@ -156,7 +156,7 @@ def test_textures_ask_for_no_shading():
     assert (share.min(), share.max()) == (0, pytest.approx(1, abs=0.1))
 
 
-@pytest.mark.parametrize("texels", [64, 2])
+@pytest.mark.parametrize("texels", [64, pytest.param(2, marks=pytest.mark.slow)])
 def test_an_sbrdf_is_shaded_where_it_varies(texels: int):
     """Stripes of gloss, as fine as the pixels that see them; and two of them, wide."""
     stripes = np.repeat(np.arange(texels) % 2, 64 // texels)
