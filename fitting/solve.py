@@ -25,6 +25,8 @@ Arrays = Array | np.ndarray
 
 # Items solved together: a slow one holds up as many, and their samples fit a processor's cache.
 BLOCK = 64
+# Of the samples' root mean square: lobes with lower peaks are what rounding leaves, which differs by processor.
+_LEAST_PEAK = 1e-4
 
 
 class Verdict(enum.IntEnum):
@@ -287,7 +289,7 @@ def _deviations(
 def _judge(samples: Samples, found: _Found, relative: Float[Array, ""], options: Options) -> Int[Array, ""]:
     """The first verdict that applies."""
     g, c, m = found.factors.shape
-    active = jnp.any(found.factors[..., 1:] > 1e-6, axis=1)  # [g, l]
+    active = jnp.any(found.factors[..., 1:] > _LEAST_PEAK, axis=1)  # [g, l]
     uncertain = (found.exponent_deviation > 1) | (found.C_deviation > 1)
     ends = (found.exponent < 2 * EXPONENTS[0]) | (found.exponent > EXPONENTS[1] / 2)
     unknowns = g * (m - 1) * (3 if options.anisotropic else 2) + g * c * m

@@ -25,11 +25,11 @@ _LEAST = 0.01
 
 
 class HalfVectors(eqx.Module):
-    """What samplers for all ω_o share: values and slopes of functions of even numbers, at equal steps.
+    """What samplers for all ω_o share: functions of even numbers, cubics in each of equal steps.
 
     Attributes:
-        roots: √(θ_h / 90°), for azimuths and elevations of ω_o.
-        turns: the azimuth of the half vector from that of ω_o, at each of those steps.
+        roots: coefficients of √(θ_h / 90°) by the first number, for azimuths and elevations of ω_o.
+        turns: the azimuth of the half vector from that of ω_o by the second, at every end of the first one's steps.
     """
 
     roots: Float[Array, "a e n 4"]
@@ -89,7 +89,7 @@ def _smooth(table, row, t):
 
 
 def half_vectors(brdf: Brdf) -> HalfVectors:
-    """Made from a BRDF by evaluating it in every cell; no part of a second for each million."""
+    """Made from a BRDF by evaluating it half a million times, and 16 times as often where its azimuth matters."""
     azimuths = 1 if is_isotropic(brdf) else _AZIMUTHS
     root, phi = (np.arange(_FINE) + 0.5) / _FINE, ((np.arange(_FINE_AROUND) + 0.5) / _FINE_AROUND * 2 - 1) * math.pi
     cosine = (np.arange(_ELEVATIONS) + 0.5) / _ELEVATIONS

@@ -8,14 +8,15 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import cubemap, latlong
+from jaxrelight.lights.environment import coarsened
 from jaxrelight.lights.sky import Sky
 
 # The most texels, how many times as bright they are as the next one after them, and what share of the light's energy
 # they hold together, at least. Of eight photographed skies and rooms, those with a sun are split at any rotation.
 MOST, BRIGHTER, SHARE = 16, 4.0, 0.5
-# Of a map's sun, radians between directions, as far as so many of them are enough; and the coarsest cube map it is
-# looked for in.
-_APART, _MOST_DIRECTIONS, _COARSEST = 0.012, 64, 16
+# Of a map's sun, radians between directions, as far as so many of them are enough; the coarsest cube map that it is
+# looked for in, and the one that maps are made coarse for.
+_APART, _MOST_DIRECTIONS, _COARSEST, _FINEST = 0.012, 64, 16, 64
 
 
 class Split(NamedTuple):
@@ -68,28 +69,41 @@ def without_sun(pixels: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "
     Args:
         pixels: radiance.
     """
-    h, w = pixels.shape[:2]
-    v, u = ((np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])).reshape(2, -1)
-    towards, area = latlong.directions(u, v), np.repeat(latlong.solid_angles(h, w), w)
-    flat = np.asarray(pixels, float).reshape(-1, 3)
-    length = np.linalg.norm(flat, axis=1)
-    n = 1 << max(0, int(np.floor(np.log2(h / 2)))) if h > 1 else 0
-    while n >= min(_COARSEST, h // 2) > 0:
+    looked = coarsened(pixels, _FINEST)
+    towards, area = _pixels_of(looked)
+    flat = np.asarray(looked, float).reshape(-1, 3)
+    rows = len(looked)
+    n = 1 << max(0, int(np.floor(np.log2(rows / 2)))) if rows > 1 else 0
+    while n >= min(_COARSEST, rows // 2) > 0:
         cell = cubemap.texel_of(towards, n)
         whole = np.maximum(np.bincount(cell, area, 6 * n * n), 1e-30)
         mean = np.stack([np.bincount(cell, area * one, 6 * n * n) for one in flat.T], axis=1) / whole[:, None]
         split = split_sun(jnp.asarray(mean, jnp.float32)) if len(mean) > MOST else None
         if split is not None and bool(jnp.any(split.radiance > 0)):
-            texels, radiance = (np.asarray(x) for x in (split.texels, split.radiance))
-            lit = texels[radiance.any(axis=1)]
-            # As bright as what is left of the brightest cell, at most.
-            most = np.linalg.norm(np.asarray(split.rest, float)[lit], axis=1).max()
-            bright = np.isin(cell, lit) & (length > most)
-            rest = np.where(bright, most / np.where(bright, length, 1), 1)[:, None] * flat
-            found = _directions(flat - rest, towards, area, cell, lit, (h, w))
-            return rest.reshape(pixels.shape).astype(pixels.dtype), found
+            return _taken(pixels, split, n)
         n //= 2
     return pixels, Sky(jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+
+
+def _taken(pixels, split: Split, n: int) -> tuple[Float[np.ndarray, "h w 3"], Sky]:
+    """A map without what its pixels in the bright cells of a cube map have above the others, and that."""
+    towards, area = _pixels_of(pixels)
+    flat = np.asarray(pixels, float).reshape(-1, 3)
+    cell, length = cubemap.texel_of(towards, n), np.linalg.norm(flat, axis=1)
+    lit = np.asarray(split.texels)[np.asarray(split.radiance).any(axis=1)]
+    # As bright as what is left of the brightest cell, at most.
+    most = np.linalg.norm(np.asarray(split.rest, float)[lit], axis=1).max()
+    bright = np.isin(cell, lit) & (length > most)
+    rest = np.where(bright, most / np.where(bright, length, 1), 1)[:, None] * flat
+    h, w = pixels.shape[:2]
+    return rest.reshape(pixels.shape).astype(pixels.dtype), _directions(flat - rest, towards, area, cell, lit, (h, w))
+
+
+def _pixels_of(pixels) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
+    """Directions to all pixels of a lat-long map, and their solid angles."""
+    h, w = pixels.shape[:2]
+    v, u = ((np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])).reshape(2, -1)
+    return latlong.directions(u, v), np.repeat(latlong.solid_angles(h, w), w)
 
 
 def _directions(light, towards, area, cell, lit, shape: tuple[int, int]) -> Sky:
