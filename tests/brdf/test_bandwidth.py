@@ -76,14 +76,18 @@ def test_principal_components_hold_most():
 def spatial(exponent) -> PackedLobes:
     """Maps that differ by texel in their exponents alone."""
     h, w = exponent.shape
-    maps = {
-        "diffuse": np.full((h, w, 3), 0.2),
-        "C": np.tile([[[[-1.0, -1, 1]]]], (h, w, 1, 1)),
-        "exponent": exponent[..., None],
-        "scale": np.full((h, w, 1, 3), 0.3),
-        "axis": np.tile([[[1.0, 0.0]]], (h, w, 1)),
-    }
-    return SpatialLobes(**{name: jnp.asarray(of, jnp.float32) for name, of in maps.items()}).packed()
+
+    def everywhere(value):
+        value = jnp.asarray(value, jnp.float32)
+        return jnp.broadcast_to(value, (h, w, *value.shape))
+
+    return SpatialLobes(
+        diffuse=everywhere([0.2] * 3),
+        C=everywhere([[-1, -1, 1]]),
+        exponent=jnp.asarray(exponent[..., None], jnp.float32),
+        scale=everywhere([[0.3] * 3]),
+        axis=everywhere([1, 0]),
+    ).packed()
 
 
 def test_maps_vary_where_any_of_their_parameters_does():
