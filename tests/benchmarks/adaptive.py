@@ -1,41 +1,31 @@
-"""Adaptive shading against the same number of samples in every pixel: time at equal quality, and what it rests on."""
+"""Adaptive shading against the same number of samples in every pixel: time at equal quality."""
 
 import argparse
 import dataclasses
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy import stats
+from jaxtyping import Bool
 
 import jaxrelight as jr
-from jaxrelight.basis import latlong
-from jaxrelight.brdf.bandwidth import bandwidth_table, compressed
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.tabulated import Tabulated
 from jaxrelight.geometry.mesh import transformed
-from jaxrelight.images import srgb_decode, srgb_encode
+from jaxrelight.images import srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive import AdaptiveShader, Parts
-from jaxrelight.lighting.antialiasing import averaged
+from jaxrelight.lighting.adaptive import AdaptiveShader
 from jaxrelight.lighting.planning import Plan
 from jaxrelight.lighting.prefiltered import look_at
-from jaxrelight.lighting.random_numbers import even_numbers
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
-from jaxrelight.lights.sky import Sky
-from tests.benchmarks.measuring import RESULTS, Report, percent, shared
+from tests.benchmarks.measuring import Report, percent, shared
 
 MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply", "spot": "spot.obj"}
 MATERIALS = "RGL paint", "MERL surrogate", "two lobes"
 # Samples of the baseline; how many times as many what stands for the truth has, filtered and with another seed.
 BASELINE, TRUTH, SEED = 1024, 2, 7
-# Pixels along a side of those in which frequencies are measured.
-WINDOW = 32
-# Of whole frames.
-FRAME_TOLERANCE = 0.004
 # Of displayed brightness 1: this quantile of the picture's radiance.
 WHITE = 0.97
 SCENE = """
@@ -61,29 +51,20 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.adaptive", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one small picture; RESULTS.md is left as it is")
     parser.add_argument("--meshes", nargs="+", choices=MESHES, default=list(MESHES), help="some of them")
-    parser.add_argument("--materials", nargs="+", choices=MATERIALS, default=list(MATERIALS), help="some of them")
-    parser.add_argument("--without-shadows", action="store_true", help="leave out the pictures with shadows")
+    shadows = parser.add_mutually_exclusive_group()
+    shadows.add_argument("--without-shadows", action="store_true", help="those pictures alone")
+    shadows.add_argument("--with-shadows", action="store_true", help="those pictures alone")
     arguments = parser.parse_args()
     quick = arguments.quick
     size, samples = (64, 256) if quick else (512, BASELINE)
-    meshes = ["spot"] if quick else arguments.meshes
-    materials = ["two lobes"] if quick else arguments.materials
-    parameters = (
-        f"{size}×{size}, Venice sunset, {samples} samples in every pixel against as few as are as good; "
-        f"{', '.join(meshes)} × {', '.join(materials)}{', without shadows alone' * arguments.without_shadows}"
-    )
-    with Report("adaptive", "Shading where bandwidth asks", parameters, write=not quick) as report:
-        compare(report, meshes, materials, size, samples, shadows=False)
-        if not arguments.without_shadows:
-            compare(report, meshes, materials, size, samples, shadows=True)
-        first = Case(meshes[0], materials[-1], size, samples, shadows=False)
-        parts_of_it(report, first)
-        probes(report, first)
-        correlations(report, first)
-        antialiasing(report, meshes[0], materials[-1], size)
-        components(report, 64 if quick else 256)
-        lambert_alone(report, meshes[0], size)
-        extremes(report, 64 if quick else 256, write=not quick)
+    # Pictures take minutes each, so every mesh is a section of its own.
+    for shaded in [False] * (not arguments.with_shadows) + [True] * (not arguments.without_shadows):
+        for mesh in ["spot"] if quick else arguments.meshes:
+            where = "on a floor, with shadows" if shaded else "without shadows"
+            part, title = f"_{mesh}{'_shadows' * shaded}", f"Shading where bandwidth asks: {mesh}, {where}"
+            parameters = f"{size}×{size}, Venice sunset, {samples} samples in every pixel against as few as are as good"
+            with Report("adaptive", title, parameters, write=not quick, part=part) as report:
+                compare(report, mesh, MATERIALS[-1:] if quick else MATERIALS, size, samples, shadows=shaded)
 
 
 class Case:
@@ -132,47 +113,25 @@ def timed(function: Callable[[], object], runs: int = 1) -> tuple[np.ndarray, fl
     return np.asarray(image), best
 
 
-def compare(report: Report, meshes, materials, size: int, samples: int, *, shadows: bool):
+def compare(report: Report, mesh: str, materials: Sequence[str], size: int, samples: int, *, shadows: bool):
     """Time, samples and pixels at equal quality; quality at equal time (figure 11)."""
     rows = []
-    for mesh in meshes:
-        for material in materials:
-            case = Case(mesh, material, size, samples, shadows=shadows)
-            wanted, baseline = case.baseline()
-            rows.append([case.name, f"{baseline:.1f} s, {wanted:.1f} dB", *_as_good(case, wanted, baseline)])
-            # The table follows after hours.
-            print(rows[-1], flush=True)
+    for material in materials:
+        case = Case(mesh, material, size, samples, shadows=shadows)
+        wanted, baseline = case.baseline()
+        rows.append([material, f"{baseline:.1f} s, {wanted:.1f} dB", *as_good(case, wanted, baseline)])
+        # The table follows after minutes.
+        print(rows[-1], flush=True)
     report.text(
-        ("With shadows, on a floor" if shadows else "Without shadows")
-        + ": the baseline's time and quality; samples of adaptive shading on average, its time, how many times faster; "
-        "samples used against the baseline's, pixels shaded, the share of the time that goes into prediction, and the "
-        "quality of the baseline in adaptive shading's time."
+        "The baseline's time and quality; samples of adaptive shading on average, its time, how many times faster; "
+        "samples used against the baseline's, pixels shaded, the shares of the time that predicting bandwidth takes, "
+        "and planning by it, and the quality of the baseline in adaptive shading's time."
     )
-    heads = ["picture", "baseline", "samples", "time", "faster", "used", "shaded", "prediction", "equal time"]
+    heads = ["picture", "baseline", "samples", "time", "faster", "used", "shaded", "bandwidth", "plan", "equal time"]
     report.table(heads, rows)
 
 
-def parts_of_it(report: Report, case: Case):
-    """What adaptive shading and filtered look-ups bring alone."""
-    wanted, baseline = case.baseline()
-    together = _as_good(case, wanted, baseline)
-    apart = _as_good(case, wanted, baseline, filtered=False)
-
-    def good(samples: float) -> bool:
-        return case.psnr(case.uniform(16 * round(samples / 16), filtered=True)) >= wanted
-
-    even = 16 * round(_first(good, 2 * case.samples) / 16)
-    seconds = timed(lambda: case.uniform(even, filtered=True))[1]
-    rows = [
-        ["adaptive", together[0], together[2]],
-        ["adaptive, look-ups of single texels as the baseline's", apart[0], apart[2]],
-        ["the same number in every pixel, filtered look-ups", str(even), f"{baseline / seconds:.1f}×"],
-    ]
-    report.text(f"{case.name}: what it takes to be as good as the baseline, part by part.")
-    report.table(["", "samples", "faster"], rows)
-
-
-def _first(good: Callable[[float], bool], most: float) -> float:
+def first_good(good: Callable[[float], bool], most: float) -> float:
     """The first number of samples that is good enough, from 16 up to the most, each √√2 of the last."""
     low, high = 0, int(np.ceil(4 * np.log2(most / 16)))
     while low < high:
@@ -181,16 +140,16 @@ def _first(good: Callable[[float], bool], most: float) -> float:
     return 16 * 2 ** (low / 4)
 
 
-def _as_good(case: Case, wanted: float, baseline: float, *, filtered: bool = True) -> list[str]:
+def as_good(case: Case, wanted: float, baseline: float, *, filtered: bool = True) -> list[str]:
     """The least budget whose picture is as good."""
 
     def good(budget: float) -> bool:
         return case.psnr(case.shader.shade(case.plan(samples=budget), case.light, filtered=filtered)) >= wanted
 
-    budget = _first(good, 2 * case.samples)
-    plan, planning = _planned(case, budget)
+    budget = first_good(good, 2 * case.samples)
+    plan, predicting, planning = _planned(case, budget)
     _, shading = timed(lambda: case.shader.shade(plan, case.light, filtered=filtered), 2)
-    total, pixels = planning + shading, int(case.covered.sum())
+    total, pixels = predicting + planning + shading, int(case.covered.sum())
     per_sample = baseline / case.samples
     equal = case.psnr(case.uniform(max(16, round(total / per_sample / 16) * 16))) if filtered else 0.0
     return [
@@ -199,262 +158,20 @@ def _as_good(case: Case, wanted: float, baseline: float, *, filtered: bool = Tru
         f"{baseline / total:.1f}×",
         percent(plan.samples / pixels / case.samples),
         percent(plan.shaded / pixels),
+        percent(predicting / total),
         percent(planning / total),
         f"{equal:.1f} dB",
     ]
 
 
-def _planned(case: Case, budget: float) -> tuple[Plan, float]:
+def _planned(case: Case, budget: float) -> tuple[Plan, float, float]:
+    """A plan, and the seconds that prediction takes, and what follows from it."""
     case.plan(samples=budget)
     start = time.perf_counter()
-    plan = case.plan(samples=budget)
-    return plan, time.perf_counter() - start
-
-
-def probes(report: Report, case: Case):
-    """Samples that predict (figure 12)."""
-    rows = []
-    for count in (16, 64, 256, 1024):
-        jax.block_until_ready(case.shader.predicted(case.light, count))
-        start = time.perf_counter()
-        predicted = jax.block_until_ready(case.shader.predicted(case.light, count))
-        seconds = time.perf_counter() - start
-        plan = case.plan(samples=64, predicted=predicted)
-        quality = case.psnr(case.shader.shade(plan, case.light))
-        rows.append([str(count), f"{seconds:.2f} s", percent(plan.shaded / case.covered.sum()), f"{quality:.2f} dB"])
-    report.text(
-        f"{case.name}, 64 samples a pixel: by the number n_b of samples that predict, at a quarter of the pixels."
-    )
-    report.table(["n_b", "prediction", "shaded", "quality"], rows)
-
-
-def correlations(report: Report, case: Case):
-    """Prediction against measurement (figure 14)."""
-    predicted = case.shader.predicted(case.light)[0][0]
-    pixel = np.asarray(case.shader.probes[0].pixels.pixel)
-    real = np.flatnonzero(pixel < case.covered.size)
-    real = real[interior(case.covered).ravel()[pixel[real]]]
-    ok, measured = windowed_frequencies(case.truth.mean(axis=2), case.covered, pixel[real])
-    rows = []
-    for name, heading in (("image", "average (eq. 4)"), ("largest", "maximum (figure 6)")):
-        values = np.asarray(getattr(predicted, name))
-        own = values[real], windowed(values, pixel, case.covered.shape)[pixel[real]]
-        found = [stats.spearmanr(of[ok], wanted[ok])[0] for wanted in measured for of in own]
-        rows.append([heading, *(f"{of:.2f}" for of in found)])
-    report.text(
-        f"{case.name}: rank correlation of the bandwidth that is predicted with that of windows of 32×32 pixels, in "
-        "pixels off the silhouette. Of a window, the root mean square of its frequencies, its mean the one of "
-        "frequency 0, as what is predicted is a root mean square; and the frequency below which 95 % of the energy of "
-        "what is left without the mean lies, which says nothing of how much that is. Prediction of the pixel in the "
-        "middle, and of all in the window (root mean square)."
-    )
-    report.table(["", *(f"{of}, {by}" for of in ("mean square", "95 %") for by in ("pixel", "window"))], rows)
-    spread = measured_variance(case)[real]
-    found = [stats.spearmanr(np.asarray(of)[real], spread)[0] for of in
-             (predicted.variance, predicted.variance_of_bandwidth)]  # fmt: skip
-    report.text(
-        f"Variance, against that of 1,024 samples of a texel each: rank correlation {found[0]:.2f} by second moments, "
-        f"{found[1]:.2f} by eq. 8."
-    )
-
-
-def antialiasing(report: Report, mesh: str, material: str, size: int):
-    """Whole frames with one, four and sixteen samples of surfaces in a pixel (figure 15)."""
-    scene = scene_of(mesh, brdf_of(material), size)
-    assert scene.environment is not None
-    light, rows = light_pyramid(scene.environment), []
-    parts: Parts | None = None
-    for factor in (1, 2, 4):
-        camera = dataclasses.replace(scene.camera, width=factor * size, height=factor * size)
-        fine = dataclasses.replace(scene, camera=camera)
-        _frame(fine, light, parts, factor)
-        start = time.perf_counter()
-        image, shader, plan = _frame(fine, light, parts, factor)
-        jax.block_until_ready(image)
-        seconds = time.perf_counter() - start
-        parts = shader.parts
-        pixels = shader.seen.covered.sum() / factor**2
-        figures = f"{plan.samples / pixels:.0f}", percent(plan.shaded / shader.seen.covered.sum())
-        rows.append([str(factor**2), f"{seconds:.2f} s", *figures, seconds])
-    report.text(
-        f"{mesh}, {material}, tolerance {FRAME_TOLERANCE}: whole frames, with tracing, by samples of surfaces in a "
-        "pixel."
-    )
-    table = [[*row[:-1], f"{row[-1] / rows[0][-1]:.2f}×"] for row in rows]
-    report.table(["samples of surfaces", "frame", "samples of light", "shaded", "of one"], table)
-
-
-def _frame(scene: jr.Scene, light: LightPyramid, parts: Parts | None, factor: int):
-    shader = AdaptiveShader(look_at(scene), scene.camera, parts, factor=factor)
-    plan = shader.plan(light, tolerance=FRAME_TOLERANCE)
-    return averaged(shader.shade(plan, light), factor), shader, plan
-
-
-def components(report: Report, resolution: int):
-    """What principal components leave out of the tables of bandwidth (figure 8)."""
-    brdf = brdf_of("RGL paint")
-    seconds = time.perf_counter()
-    table = bandwidth_table(brdf, resolution)
-    seconds = time.perf_counter() - seconds
-    counts = [k for k in (1, 2, 4, 8, 12) if k < len(table.values)]
-    report.text(
-        f"Bandwidth of the RGL paint, {' × '.join(map(str, table.values.shape))} from slices of {resolution}², made in "
-        f"{seconds:.1f} s: error of what so many principal components leave, root mean square relative to the table."
-    )
-    report.table(["components", *map(str, counts)], [["error", *(percent(compressed(table, k)[1]) for k in counts)]])
-
-
-def lambert_alone(report: Report, mesh: str, size: int):
-    """Nothing varies: hardly a pixel is shaded."""
-    scene = scene_of(mesh, jr.lambert(0.6), size)
-    light = light_pyramid(jr.environment(np.ones((16, 32, 3), np.float32)))
-    seen = look_at(scene)
-    shader = AdaptiveShader(seen, scene.camera)
-    plan = shader.plan(light, tolerance=0.01)
-    image, facing = np.asarray(shader.shade(plan, light)), seen.covered.copy()
-    facing[seen.covered] = np.sum(seen.gbuffer.normals * seen.gbuffer.omega_o, axis=1) > 0
-    worst = float(np.abs(image[facing] / 0.6 - 1).max())
-    report.text(f"{mesh}, Lambert under a constant sky: largest relative error {worst:.1e}, "
-                f"{percent(plan.shaded / seen.covered.sum())} of the pixels shaded.")  # fmt: skip
-
-
-def extremes(report: Report, size: int, *, write: bool):
-    """Where predictions could fail, against many samples everywhere."""
-    step = np.where(np.arange(512) < 256, 0.02, 1.0)[None, :, None] * np.ones((256, 1, 3))
-    sun = np.full((256, 512, 3), 0.1)
-    sun[60, 100] = 1e5
-    ball, wires = jr.sphere(0.5, 64), [transformed(jr.plane([0.004, 2]), turned(x)) for x in np.linspace(-0.6, 0.6, 9)]
-    floor = jr.Part(jr.plane([40, 40]), "skin")
-    mirror, soft = jr.phong(0.05, 0.6, 1e4), jr.phong(0.3, 0.3, 40)
-    cases = {
-        "a sky of two halves, exponent 1e4": (step, mirror, [jr.Part(ball, "skin")]),
-        "a sun of 1e5, exponent 40": (sun, soft, [jr.Part(ball, "skin"), jr.Part(jr.plane([4, 4]), "skin")]),
-        "wires, thinner than a pixel": (step, soft, [jr.Part(one, "skin") for one in wires]),
-        "a floor to the horizon": (step, soft, [jr.Part(ball, "skin"), floor]),
-    }
-    rows, pictures = [], []
-    for name, (sky, brdf, parts) in cases.items():
-        camera = jr.Camera((0.1, 0.3, 2.2), (0, 0.1, 0), (0, 1, 0), 40, size, size)
-        shader = AdaptiveShader(look_at(jr.Scene(parts, {"skin": brdf}, camera, name=name)), camera)
-        light = light_pyramid(jr.environment(sky.astype(np.float32)))
-        plan = shader.plan(light, tolerance=0.01, shadows=True)
-        found = np.asarray(shader.shade(plan, light))
-        exact = _exact(shader, sky)
-        one, other = (srgb_encode(to_unit(image)) for image in (found, exact))
-        error, covered = np.abs(one - other).max(axis=2), shader.seen.covered
-        rms = float(np.sqrt(np.mean((one - other)[covered] ** 2)))
-        lost = int(np.count_nonzero(error > 0.25))
-        pixels = covered.sum()
-        figures = f"{plan.samples / pixels:.0f}", percent(plan.shaded / pixels), f"{rms:.4f}", f"{error.max():.2f}"
-        rows.append([name, *figures, str(lost)])
-        pictures.append(np.concatenate([one, np.repeat(np.clip(10 * error, 0, 1)[..., None], 3, axis=2)], axis=0))
-    report.text(
-        "Extremes, tolerance 0.01, with shadows: samples of a pixel, pixels shaded, root-mean-square error of "
-        "displayed values against 1,024 filtered samples everywhere, and 64 directions in the sun's texel, the worst "
-        "pixel's, and pixels that are off by more than a quarter."
-    )
-    report.table(["", "samples", "shaded", "error", "worst", "lost"], rows)
-    if write:
-        path = RESULTS.with_name("adaptive_extremes.png")
-        jr.write_image(path, srgb_decode(np.concatenate(pictures, axis=1)).astype(np.float32))
-        report.text(f"![Four extremes, and ten times their error]({path.name})")
-
-
-def _exact(shader: AdaptiveShader, sky: np.ndarray) -> np.ndarray:
-    """Many samples everywhere; a sun is taken off by hand, and its texel cut into 64."""
-    (row, column), (rows, columns) = np.unravel_index(sky[..., 0].argmax(), sky.shape[:2]), sky.shape[:2]
-    largest, rest = sky.max(), np.where(sky > 1e3, 0.1, sky)
-    even = shader.uniform(
-        light_pyramid(jr.environment(rest.astype(np.float32))), 1024, SEED, filtered=True, shadows=True
-    )
-    if largest <= 1e3:
-        return np.asarray(even)
-    v, u = (
-        (row + (np.indices((8, 8))[0].ravel() + 0.5) / 8) / rows,
-        (column + (np.indices((8, 8))[1].ravel() + 0.5) / 8) / columns,
-    )
-    irradiance = np.full((64, 3), (largest - 0.1) * latlong.solid_angles(rows, columns)[row] / 64)
-    sun = Sky(jax.numpy.asarray(latlong.directions(u, v), np.float32), jax.numpy.asarray(irradiance, np.float32))
-    return np.asarray(even) + np.asarray(shader.seen.lit_by([sun]))
-
-
-def turned(x: float) -> np.ndarray:
-    """A plane that is upright, and x to the right."""
-    return np.array([[1, 0, 0, x], [0, 0, -1, 0.2], [0, 1, 0, 0], [0, 0, 0, 1.0]])
-
-
-def measured_variance(case: Case, samples: int = 1024) -> np.ndarray:
-    """Of what single samples say, at the pixels that are predicted."""
-    part, probe = case.shader.parts[0][0], case.shader.probes[0]
-    numbers = even_numbers(jax.numpy.arange(samples), jax.numpy.zeros(3, np.uint32))
-
-    @jax.jit
-    def of(part, light, pixels):
-        def pixel(given):
-            frame, omega_o, uv, footprint = given
-            point = part.towards(omega_o, uv, footprint)
-
-            def sample(number):
-                drawn = point.draw(number)
-                return (drawn.weight * light.radiance_at(drawn.omega_i @ frame)).mean()
-
-            return jax.numpy.var(jax.vmap(sample)(numbers))
-
-        rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint
-        return jax.lax.map(pixel, rows, batch_size=256)
-
-    return np.asarray(of(part, case.light, probe.pixels))
-
-
-def interior(covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Covered pixels 16 or more from what is not."""
-    from scipy import ndimage
-
-    return ndimage.binary_erosion(covered, iterations=16)
-
-
-def windowed_frequencies(
-    image: Float[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"], pixel: np.ndarray
-) -> tuple[Bool[np.ndarray, " p"], Float[np.ndarray, "2 p"]]:
-    """Where the whole window is covered, and its frequencies in cycles per pixel.
-
-    The root mean square of all, and the quantile of 95 % of those but the mean's.
-    """
-    half, (h, w) = WINDOW // 2, covered.shape
-    y, x = pixel // w, pixel % w
-    inside = (y >= half) & (y < h - half) & (x >= half) & (x < w - half)
-    hann = np.hanning(WINDOW)[:, None] * np.hanning(WINDOW)
-    radius = np.hypot(*np.meshgrid(*[np.fft.fftfreq(WINDOW)] * 2, indexing="ij")).ravel()
-    order = np.argsort(radius)
-    found, ok = np.zeros((2, len(pixel))), np.zeros(len(pixel), bool)
-    for i in np.flatnonzero(inside):
-        part = np.s_[y[i] - half : y[i] + half, x[i] - half : x[i] + half]
-        if not covered[part].all():
-            continue
-        values = image[part]
-        mean = (hann * values).sum() / hann.sum()
-        energy = np.abs(np.fft.fft2(hann * (values - mean))).ravel() ** 2
-        of_mean = WINDOW**2 * mean**2 * np.sum(hann**2)
-        total = np.cumsum(energy[order])
-        found[0, i] = np.sqrt(np.sum(radius**2 * energy) / (of_mean + total[-1]))
-        found[1, i] = radius[order][np.searchsorted(total, 0.95 * total[-1])]
-        ok[i] = total[-1] > 0
-    return ok, found
-
-
-def windowed(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> Float[np.ndarray, " n"]:
-    """Root mean square of what is known of some pixels in the window around each, weighted as its energy is."""
-    from scipy import ndimage
-
-    hann, real = np.hanning(WINDOW + 1)[1:] ** 2, pixel < shape[0] * shape[1]
-
-    def total(of):
-        image = np.zeros(shape).ravel()
-        image[pixel[real]] = of[real]
-        across = ndimage.convolve1d(image.reshape(shape), hann, 0, mode="constant")
-        return ndimage.convolve1d(across, hann, 1, mode="constant").ravel()
-
-    return np.sqrt(total(np.square(values, dtype=float)) / np.maximum(total(np.ones(len(values))), 1e-9))
+    predicted = jax.block_until_ready(case.shader.predicted(case.light, shadows=case.shadows))
+    middle = time.perf_counter()
+    plan = case.plan(samples=budget, predicted=predicted)
+    return plan, middle - start, time.perf_counter() - middle
 
 
 def scene_of(mesh: str, brdf: Brdf, size: int, *, floor: bool = False) -> jr.Scene:
