@@ -57,8 +57,8 @@ class HalfVectorSampler(eqx.Module):
     along: Float[Array, "2"]
     row: Float[Array, ""]
 
-    def drawn(self, choice, u: Float[Array, ""], v: Float[Array, ""]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
-        """The direction that numbers from 0 to 1 stand for, and its density by solid angle; `choice` is not needed."""
+    def drawn(self, u: Float[Array, ""], v: Float[Array, ""]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+        """The direction that numbers from 0 to 1 stand for, and its density by solid angle."""
         n, m = self.table.roots.shape[2], self.table.turns.shape[3]
         step, part = _step(u, n)
         root, wide = _smooth(self.table.roots, self.row * n + step, part)

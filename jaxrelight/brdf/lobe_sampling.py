@@ -47,16 +47,24 @@ class LobeSampler(eqx.Module):
 
     def sample(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """One direction; it may lie below the surface."""
-        return self.at(*jax.random.uniform(key, (3,), self.shares.dtype))
+        return self.at(*jax.random.uniform(key, (2,), self.shares.dtype))
 
-    def at(self, choice: Float[Array, ""], u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
-        """The direction that three numbers from 0 to 1 stand for: uniform ones, random or not, give its density."""
+    def at(self, u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
+        """The direction that two numbers from 0 to 1 stand for: uniform ones, random or not, give its density.
+
+        The first also chooses the lobe, by which of their shares it falls into, so that evenly spread numbers are so
+        in each of them.
+        """
         # Written out, which is several times faster than look-ups and products of small matrices.
         reached, exponent, frame = jnp.cumsum(self.shares), self.exponents[0], self.frames[0]
+        start, share = jnp.zeros_like(u), self.shares[0]
         for k in range(1, len(self.shares)):
-            beyond = choice >= reached[k - 1]
+            beyond = (u >= reached[k - 1]) & (self.shares[k] > 0)
             exponent = jnp.where(beyond, self.exponents[k], exponent)
             frame = jnp.where(beyond, self.frames[k], frame)
+            start, share = jnp.where(beyond, reached[k - 1], start), jnp.where(beyond, self.shares[k], share)
+        # Rounding of shares must not reach 1.
+        u = jnp.clip((u - start) / share, 0, 1 - jnp.finfo(u.dtype).eps)
         # 1 − u, since u may be 0 but not 1.
         log_cosine = jnp.log1p(-u) / (exponent + 1)
         cosine, sine = jnp.exp(log_cosine), jnp.sqrt(-jnp.expm1(2 * log_cosine))

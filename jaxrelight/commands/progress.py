@@ -53,7 +53,7 @@ def _bars():
 
         def show(stage: str, done: int, total: int):
             if stage not in tasks:
-                tasks[stage] = bars.add_task(f"{stage}, {total:,} points", total=total)
+                tasks[stage] = bars.add_task(f"{stage}, {_counted(stage, total)}", total=total)
             bars.update(tasks[stage], completed=done)
 
         yield show
@@ -72,9 +72,14 @@ def _lines(quiet: bool):
         if not quiet and now - told > _PAUSE and first < done < total:
             told = now
             left = (now - start) / (done - first) * (total - done)
-            print(f"{stage}: {_percent(done, total)} of {total:,} points, {left:.0f} s left", file=sys.stderr)
+            print(f"{stage}: {_percent(done, total)} of {_counted(stage, total)}, {left:.0f} s left", file=sys.stderr)
 
     yield show
+
+
+def _counted(stage: str, total: int) -> str:
+    """Stages count points, but those that are named for what they count."""
+    return f"{total:,}" if stage in ("materials", "samples") else f"{total:,} points"
 
 
 def _percent(done: int, total: int) -> str:

@@ -269,7 +269,8 @@ class AdaptiveShader:
                 one.spatial,
                 visible * one.contrast,
                 visible,
-                visible * jnp.sqrt(one.variance),
+                # Filtered look-ups take off the more the larger it is: of what is left, the root goes by it.
+                visible * (white**2 * one.variance) ** 0.25,
                 one.image,
             )
             found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))

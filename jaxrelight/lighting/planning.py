@@ -39,7 +39,7 @@ class Layer:
         between: where to shade, and what lies between.
         counts: samples of each pixel.
         bandwidth: that is predicted in the image, in cycles per pixel.
-        deviation: of one sample, in displayed values.
+        deviation: in displayed values; errors of samples go by it, and `noise` says by how much of it.
         noise: how its error falls with their number.
     """
 
@@ -237,13 +237,16 @@ def _candidate(asked: Asked, tolerance: float, power: float) -> _CandidateLayer:
 
 
 def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
-    """Whole runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget."""
+    """Runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget.
+
+    Powers of two, by which even numbers are so much better than by others that half as many may do as well.
+    """
     wanted = [np.asarray(of, float) / RUN for of, _ in layers]
     shaded = [np.asarray(of) for _, of in layers]
 
     def at(scale: float):
         return [
-            np.where(of, np.clip(np.round(scale * one), 1, MOST // RUN) * RUN, 0).astype(np.int32)
+            np.where(of, np.exp2(np.round(np.log2(np.clip(scale * one, 1, MOST // RUN)))) * RUN, 0).astype(np.int32)
             for one, of in zip(wanted, shaded, strict=True)
         ]
 

@@ -58,7 +58,7 @@ class Prediction(NamedTuple):
 
 
 # The same numbers for all pixels, so that neighbours differ by what they are alone.
-_SHIFT = np.full(3, 1 << 31, np.uint32)
+_SHIFT = np.full(2, 1 << 31, np.uint32)
 
 
 @eqx.filter_jit

@@ -75,11 +75,11 @@ class TowardsEye(eqx.Module):
     omega_o: Float[Array, "3"]
     above: Float[Array, ""]
 
-    def draw(self, numbers: Float[Array, "3"]) -> Drawn:
-        """The sample of three numbers from 0 to 1. Where it lies, and its density, stand still in derivatives."""
+    def draw(self, numbers: Float[Array, "2"]) -> Drawn:
+        """The sample of two numbers from 0 to 1. Where it lies, and its density, stand still in derivatives."""
         return self.weighed(*self.direction(numbers))
 
-    def direction(self, numbers: Float[Array, "3"]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    def direction(self, numbers: Float[Array, "2"]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
         """A sample's direction and density, which may reflect nothing."""
         return jax.lax.stop_gradient(self.sampler.drawn(*numbers))
 

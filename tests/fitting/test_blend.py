@@ -30,7 +30,7 @@ def _apart(brdf, wanted) -> float:
     return float(np.linalg.norm(sample(brdf, COARSE).values - wanted) / np.linalg.norm(wanted))
 
 
-@pytest.mark.parametrize(("share", "wanted"), [(0, SHARP), (1, BROAD)])
+@pytest.mark.parametrize(("share", "wanted"), [pytest.param(0, SHARP, marks=pytest.mark.slow), (1, BROAD)])
 def test_the_ends_of_a_blend_are_the_materials(share, wanted):
     made = blended(SHARP, BROAD, share, weight="plain", grid=COARSE)
     assert made.verdict == Verdict.GOOD
@@ -101,6 +101,7 @@ def _values(level, row: int, column: int):
     return jax.vmap(alone.at(jnp.full(2, 0.5)).evaluate)(*PAIRS)
 
 
+@pytest.mark.slow
 def test_masks_choose_and_mix():
     made = _composed()
     for place, wanted in {(0, 0): SHARP, (0, 1): SHARP, (1, 0): SHARP, (0, 2): BROAD}.items():

@@ -90,6 +90,7 @@ def test_bad_texels_are_flagged_and_leave_the_others_as_they_are():
     assert all(np.isfinite(array).all() for array in jax.tree.leaves(bad.level.lobes))
 
 
+@pytest.mark.slow
 def test_what_was_done_is_not_done_again(tmp_path, monkeypatch):
     stack = _stack()
     told = []

@@ -53,10 +53,13 @@ def test_tolerances_are_kept_by_both_errors_together(tolerance: float):
 @pytest.mark.parametrize("power", [1.0, 1.6])
 def test_samples_go_where_noise_is(power: float):
     """Where every pixel is shaded, n ∝ σ^(2 / (1 + power)) makes Σ σ² / n^power the least that Σ n allows."""
-    found = plan(samples=512, deviation=0.01 * noise(), power=power, between=fast())
+    steps = np.linspace(0, 4, W)
+    found = plan(samples=512, deviation=1e-3 * 2**steps * np.ones((H, 1)), power=power, between=fast())
     assert found.shaded > 0.9 * PIXELS
-    left, right = np.split(found.layers[0].counts, 2, axis=1)
-    assert np.median(right) / np.median(left) == pytest.approx(4 ** (2 / (1 + power)), rel=0.1)
+    counts = np.median(found.layers[0].counts, axis=0)
+    assert np.polyfit(steps, np.log2(counts), 1)[0] == pytest.approx(2 / (1 + power), rel=0.1)
+    # Even numbers are best by powers of two.
+    assert (np.log2(counts) % 1 == 0).all()
 
 
 def test_the_more_noise_the_fewer_pixels_share_a_budget():

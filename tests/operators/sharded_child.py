@@ -127,7 +127,7 @@ def largest_share(whole: Operator, mesh: Mesh) -> float:
     return max(shares.values()) / whole.nbytes
 
 
-def main(devices: str, address: str | None = None, processes: str = "1", process: str = "0") -> None:
+def main(devices: str, names: str, address: str | None = None, processes: str = "1", process: str = "0") -> None:
     # Nearly all of the time is compilation.
     quick = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
     os.environ["XLA_FLAGS"] = f"--xla_force_host_platform_device_count={devices} {quick}"
@@ -136,7 +136,7 @@ def main(devices: str, address: str | None = None, processes: str = "1", process
         jax.distributed.initialize(address, int(processes), int(process), initialization_timeout=60)
     assert jax.device_count() == int(devices) * int(processes)
     mesh = Mesh(np.array(jax.devices()), ("groups",))
-    for name in CASES if address is None else TOGETHER:
+    for name in names.split(";"):
         whole = CASES[name]()
         check(whole, mesh)
         if address is None and name not in ("fewer rows than devices", "stacked"):

@@ -4,6 +4,7 @@ import pathlib
 import socket
 import subprocess
 import sys
+from collections.abc import Iterable
 
 import equinox as eqx
 import jax
@@ -24,15 +25,16 @@ def _mesh() -> Mesh:
     return Mesh(np.array(jax.devices()[:1]), ("groups",))
 
 
-def _start(*arguments: object) -> subprocess.Popen:
-    command = [sys.executable, "-m", "tests.operators.sharded_child", *map(str, arguments)]
+def _start(devices: int, names: Iterable[str], *arguments: object) -> subprocess.Popen:
+    given = devices, ";".join(names), *arguments
+    command = [sys.executable, "-m", "tests.operators.sharded_child", *map(str, given)]
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 def _finish(*children: subprocess.Popen) -> list[str]:
     """What they print, unless one of them fails; none outlives this."""
     try:
-        said = [child.communicate(timeout=120) for child in children]
+        said = [child.communicate(timeout=300) for child in children]
     finally:
         for child in children:
             child.kill()
@@ -46,9 +48,12 @@ def test_one_device(name):
     check(CASES[name](), _mesh())
 
 
-def test_four_devices():
-    (output,) = _finish(_start(4))
-    assert output.splitlines() == list(CASES)
+@pytest.mark.parametrize(
+    "names", [("clusters", "rows in 8 bits, grey"), pytest.param(tuple(CASES), marks=pytest.mark.slow)]
+)
+def test_four_devices(names):
+    (output,) = _finish(_start(4, names))
+    assert output.splitlines() == list(names)
 
 
 @pytest.mark.slow
@@ -58,7 +63,7 @@ def test_two_processes_of_two_devices():
         held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         held.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{held.getsockname()[1]}"
-        outputs = _finish(*(_start(2, address, 2, process) for process in range(2)))
+        outputs = _finish(*(_start(2, TOGETHER, address, 2, process) for process in range(2)))
     for output in outputs:
         assert output.splitlines()[-len(TOGETHER) :] == list(TOGETHER)
 

@@ -192,6 +192,7 @@ def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_p
     assert relative(after.rows(jnp.asarray(chosen)), wanted) < 1e-5
 
 
+@pytest.mark.slow
 def test_an_even_sky_grows_no_brighter_than_albedo_allows(scene, direct, tmp_path):
     white = jnp.asarray(direct.basis.encode(jnp.ones((3, 6 * 8**2))).T)
     once = Relighter(opened(scene, SMALL, tmp_path))
