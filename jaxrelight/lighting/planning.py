@@ -25,7 +25,7 @@ _OF_PREDICTED = 0.05
 
 
 class Noise(NamedTuple):
-    """Error² of n samples is factor · variance / n^power: even numbers and filtered light do better than 1 / n."""
+    """Error² of n samples is factor · deviation² / n^power: even numbers and filtered light do better than 1 / n."""
 
     factor: float
     power: float

@@ -16,7 +16,7 @@ def even_numbers(index: Int[Array, "*n"], shift: UInt[Array, "*n 2"]) -> Float[A
     """Numbers `index` of Sobol's sequence, digits shifted.
 
     Runs of 2^n, from multiples of 2^n on, have one pair in each of 2^n equal parts of the square, whether strips or
-    squares or what lies between. Of no other two of the sequence's numbers is that so.
+    squares or what lies between. Later numbers of the sequence do not pair so well.
     """
     whole = _sobol().at[index].get(mode="promise_in_bounds") ^ shift
     # 24 bits are what single precision holds below 1.

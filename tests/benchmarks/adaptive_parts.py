@@ -308,3 +308,7 @@ def windowed(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> F
         return ndimage.convolve1d(across, hann, 1, mode="constant").ravel()
 
     return np.sqrt(total(np.square(values, dtype=float)) / np.maximum(total(np.ones(len(values))), 1e-9))
+
+
+if __name__ == "__main__":
+    main()
