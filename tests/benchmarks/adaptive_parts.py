@@ -35,7 +35,7 @@ def main():
     parser.add_argument("--quick", action="store_true", help="small pictures; RESULTS.md is left as it is")
     quick = parser.parse_args().quick
     mesh, material = "spot" if quick else "bunny", "two lobes"
-    size, samples = (64, 256) if quick else (512, BASELINE)
+    size, samples = (128, 256) if quick else (512, BASELINE)
     parameters = f"{mesh}, {material}, {size}×{size}, Venice sunset, {samples} samples in every pixel of the baseline"
     with Report("adaptive_parts", "What shading where bandwidth asks rests on", parameters, write=not quick) as report:
         case = Case(mesh, material, size, samples, shadows=False)
