@@ -64,7 +64,7 @@ def estimate(
             jax.block_until_ready(total)
             report(RUN * len(mine[0]))
         # Apart from what is done with them: XLA would draw anew for each of the BRDF's look-ups.
-        drawn = _directions(part, pixels, *mine, seed)
+        drawn = _directions(part, pixels, number, *mine, seed)
         if blocked is None:
             total = _added(total, part, light, pixels, number, mine[0], drawn, filtered)
         else:
@@ -87,14 +87,15 @@ def _visible(blocked: Blocked, place, towards):
 
 
 @jax.jit
-def _directions(part, pixels, place, first, seed):
+def _directions(part, pixels, number, place, first, seed):
     """Of each piece [RUN, 3] directions in its pixel's frame, and their densities."""
 
     def piece(given):
         place, first = given
         _, omega_o, uv, footprint, pixel = _of(pixels, place)
         point, shift = part.towards(omega_o, uv, footprint), shifts(pixel, seed)
-        return jax.vmap(lambda index: point.direction(even_numbers(index, shift)))(first + jnp.arange(RUN))
+        count = _count(number, place)
+        return jax.vmap(lambda index: point.direction(even_numbers(index, count, shift)))(first + jnp.arange(RUN))
 
     return jax.lax.stop_gradient(jax.vmap(piece)((place, first)))
 
@@ -105,14 +106,14 @@ def _pieces(part, light, pixels, number, place, drawn, filtered):
     def piece(given):
         place, directions = given
         frame, omega_o, uv, footprint, _ = _of(pixels, place)
-        count = number.at[jnp.minimum(place, len(number) - 1)].get(mode="promise_in_bounds")
+        count = _count(number, place)
         point = part.towards(omega_o, uv, footprint)
 
         def sample(direction):
             drawn = point.weighed(*direction)
             # Written out: products of small matrices are slow.
             omega = jnp.sum(drawn.omega_i[:, None] * frame, axis=0)
-            covered = drawn.solid_angle / jnp.maximum(count, 1) if filtered else None
+            covered = drawn.solid_angle / count if filtered else None
             given = drawn.weight * light.radiance_at(omega, covered)
             real = (place < len(pixels.pixel)) & jnp.any(drawn.weight > 0)
             return given, jnp.where(real, omega, 0)
@@ -127,6 +128,11 @@ def _of(pixels, place):
     at = jnp.minimum(place, len(pixels.pixel) - 1)
     arrays = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, pixels.pixel
     return tuple(x.at[at].get(mode="promise_in_bounds") for x in arrays)
+
+
+def _count(number, place):
+    """Samples of the pixel; 1 for padding, whose pixel may have none."""
+    return jnp.maximum(number.at[jnp.minimum(place, len(number) - 1)].get(mode="promise_in_bounds"), 1)
 
 
 @functools.partial(jax.jit, static_argnames="filtered")

@@ -237,16 +237,13 @@ def _candidate(asked: Asked, tolerance: float, power: float) -> _CandidateLayer:
 
 
 def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
-    """Runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget.
-
-    Powers of two, by which even numbers are so much better than by others that half as many may do as well.
-    """
+    """Runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget."""
     wanted = [np.asarray(of, float) / RUN for of, _ in layers]
     shaded = [np.asarray(of) for _, of in layers]
 
     def at(scale: float):
         return [
-            np.where(of, np.exp2(np.round(np.log2(np.clip(scale * one, 1, MOST // RUN)))) * RUN, 0).astype(np.int32)
+            np.where(of, np.round(np.clip(scale * one, 1, MOST // RUN)) * RUN, 0).astype(np.int32)
             for one, of in zip(wanted, shaded, strict=True)
         ]
 

@@ -1,33 +1,29 @@
 """Numbers from 0 to 1 that fill a square evenly, for samples of pixels that do not depend on each other."""
 
-import functools
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt
-from scipy.stats import qmc
 
-# Numbers of the sequence; more would follow in the same order.
+# As many as single precision tells apart in a run.
 MOST = 1 << 14
+# (√5 − 1)/2 as a part of 2³².
+_GOLDEN = np.uint32(2654435769)
 
 
-def even_numbers(index: Int[Array, "*n"], shift: UInt[Array, "*n 2"]) -> Float[Array, "*n 2"]:
-    """Numbers `index` of Sobol's sequence, digits shifted.
+def even_numbers(index: Int[Array, "*n"], count: Int[Array, "*n"], shift: UInt[Array, "*n 2"]) -> Float[Array, "*n 2"]:
+    """Numbers `index` of `count`: the first goes in equal steps, the second by the golden section of the circle.
 
-    Runs of 2^n, from multiples of 2^n on, have one pair in each of 2^n equal parts of the square, whether strips or
-    squares or what lies between. Later numbers of the sequence do not pair so well.
+    Where the first is a radius and the second an angle, they are a sunflower's seeds (Vogel 1979), each as far from
+    its neighbours as any. A shift turns the circle, and moves all the first ones within their steps.
     """
-    whole = _sobol().at[index].get(mode="promise_in_bounds") ^ shift
     # 24 bits are what single precision holds below 1.
-    return (whole >> 8).astype(jnp.float32) * 2.0**-24
+    moved, turned = ((part >> 8).astype(jnp.float32) * 2.0**-24 for part in (shift[..., 0], _turned(index, shift)))
+    along = (index.astype(jnp.float32) + moved) / count.astype(jnp.float32)
+    return jnp.stack([jnp.minimum(along, 1 - 2.0**-24), turned], axis=-1)
 
 
-@functools.cache
-def _sobol() -> UInt[Array, "m 2"]:
-    numbers = qmc.Sobol(2, scramble=False).random(MOST)
-    with jax.ensure_compile_time_eval():
-        return jnp.asarray((numbers * 2**32).astype(np.uint64).astype(np.uint32))
+def _turned(index, shift):
+    return index.astype(jnp.uint32) * _GOLDEN + shift[..., 1]
 
 
 def shifts(of: Int[Array, "*n"], seed) -> UInt[Array, "*n 2"]:

@@ -243,7 +243,7 @@ def turned(x: float) -> np.ndarray:
 def measured_variance(case: Case, samples: int = 1024) -> np.ndarray:
     """Of what single samples say, at the pixels that are predicted."""
     part, probe = case.shader.parts[0][0], case.shader.probes[0]
-    numbers = even_numbers(jax.numpy.arange(samples), jax.numpy.zeros(2, np.uint32))
+    numbers = even_numbers(jax.numpy.arange(samples), jax.numpy.asarray(samples), jax.numpy.zeros(2, np.uint32))
 
     @jax.jit
     def of(part, light, pixels):

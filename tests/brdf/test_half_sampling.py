@@ -22,7 +22,7 @@ VIEWS = jnp.asarray([[0.0, 0, 1], [0.6, 0, 0.8], [0.1, -0.95, 0.29]])
 
 def _samples(brdf, omega_o, count=1 << 14):
     sampler = half_vectors(brdf).towards(omega_o / jnp.linalg.norm(omega_o))
-    u = even_numbers(jnp.arange(count), jnp.zeros(2, jnp.uint32))
+    u = even_numbers(jnp.arange(count), jnp.asarray(count), jnp.zeros(2, jnp.uint32))
     return jax.jit(jax.vmap(lambda one: sampler.drawn(*one)))(u)
 
 

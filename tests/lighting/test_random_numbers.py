@@ -1,20 +1,36 @@
-"""Even numbers: whole sequences fill the square, shifted ones as well, and neighbours have nothing in common."""
+"""Even numbers: they fill a disc, shifted ones as well, and neighbours have nothing in common."""
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from scipy.spatial import cKDTree
 
-from jaxrelight.lighting.random_numbers import even_numbers, shifts
+from jaxrelight.lighting.random_numbers import MOST, even_numbers, shifts
 
 
-def test_runs_are_even():
-    """Each of 256 parts of the square holds one, however they are cut."""
+@pytest.mark.parametrize("count", [16, 48, 256, MOST])
+def test_steps_have_one_each(count: int):
     for one in shifts(jnp.arange(7), 0):
-        for first in (0, 1024, 4096):
-            found = np.asarray(even_numbers(first + jnp.arange(256), one))
-            assert (found >= 0).all()
-            assert (found < 1).all()
-            for k in range(9):
-                assert (np.histogramdd(found, (2**k, 2 ** (8 - k)), [(0, 1)] * 2)[0] == 1).all()
+        found = np.asarray(even_numbers(jnp.arange(count), jnp.asarray(count), one))
+        assert (found >= 0).all()
+        assert (found < 1).all()
+        # But for what rounding takes across an edge.
+        np.testing.assert_allclose(np.floor(found[:, 0] * count + 1e-3), np.arange(count), atol=1)
+        assert np.ptp(found[:, 0] * count - np.arange(count)) < 2e-3
+
+
+@pytest.mark.parametrize("count", [16, 48, 128, 256, 1024])
+def test_a_disc_is_filled_evenly(count: int):
+    """Points share it: the closest two are three quarters as far apart as those of the densest grid would be."""
+    for one in shifts(jnp.arange(7), 0):
+        u, v = np.asarray(even_numbers(jnp.arange(count), jnp.asarray(count), one), float).T
+        points = np.sqrt(u)[:, None] * np.stack([np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)], axis=1)
+        densest = np.sqrt(2 * np.pi / (np.sqrt(3) * count))
+        # Near the middle, how far apart the first ones are depends on where in their steps they are.
+        outer = points[u > 4 / count]
+        nearest = cKDTree(outer).query(outer, 2)[0][:, 1]
+        assert nearest.min() > 0.75 * densest
+        assert np.abs(points.mean(axis=0)).max() < 2 / count
 
 
 def test_shifts_are_as_good_as_random():

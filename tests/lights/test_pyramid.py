@@ -49,6 +49,21 @@ def test_a_constant_sky_is_constant(rows: int, solid_angle: float):
     assert not np.asarray(bandwidth).any()
 
 
+@pytest.mark.parametrize("solid_angle", [5e-4, 1e-3, 0.02])
+def test_cells_are_as_wide_as_is_asked(solid_angle: float):
+    """A light as large as a texel, looked up all around, looks as large as about a solid angle."""
+    rows = 256
+    pixels = np.zeros((rows, 2 * rows, 1), np.float32)
+    pixels[rows // 2, rows] = 1
+    of, near = cells(pixels), np.linspace(-0.35, 0.35, 1401) / np.pi
+    v, asked = jnp.float32(0.5 + 0.5 / rows), jnp.float32(solid_angle)
+    look_up = jax.jit(jax.vmap(lambda x: of.look_up(0.5 + x / 2, v, asked)))
+    seen = np.asarray(look_up(jnp.asarray(near + 0.5 / rows)))[:, 0]
+    # A cell of this area, linear between centres, has a quarter of the square of its side as its variance.
+    variance = np.sum(seen * (near * np.pi) ** 2) / np.sum(seen)
+    assert solid_angle / 4 / 2 < variance < solid_angle / 4 * 2
+
+
 def test_turning_is_a_turn_of_the_map():
     pixels = noise(16)
     quarter = light_pyramid(environment(pixels, rotate_y=90))
