@@ -1,4 +1,4 @@
-"""Numbers from 0 to 1 that fill a square evenly, for samples of pixels that do not depend on each other."""
+"""Pairs of numbers from 0 to 1 that fill a disc evenly, for samples of pixels that do not depend on each other."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,14 +16,14 @@ def even_numbers(index: Int[Array, "*n"], count: Int[Array, "*n"], shift: UInt[A
     Where the first is a radius and the second an angle, they are a sunflower's seeds (Vogel 1979), each as far from
     its neighbours as any. A shift turns the circle, and moves all the first ones within their steps.
     """
-    # 24 bits are what single precision holds below 1.
-    moved, turned = ((part >> 8).astype(jnp.float32) * 2.0**-24 for part in (shift[..., 0], _turned(index, shift)))
-    along = (index.astype(jnp.float32) + moved) / count.astype(jnp.float32)
-    return jnp.stack([jnp.minimum(along, 1 - 2.0**-24), turned], axis=-1)
+    along = (index.astype(jnp.float32) + _part_of_one(shift[..., 0])) / count.astype(jnp.float32)
+    around = _part_of_one(index.astype(jnp.uint32) * _GOLDEN + shift[..., 1])
+    return jnp.stack([jnp.minimum(along, 1 - 2.0**-24), around], axis=-1)
 
 
-def _turned(index, shift):
-    return index.astype(jnp.uint32) * _GOLDEN + shift[..., 1]
+def _part_of_one(whole):
+    """Of 2³²; 24 bits are what single precision holds below 1."""
+    return (whole >> 8).astype(jnp.float32) * 2.0**-24
 
 
 def shifts(of: Int[Array, "*n"], seed) -> UInt[Array, "*n 2"]:

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxrelight.lighting.random_numbers import MOST, even_numbers, shifts
 
@@ -28,7 +28,7 @@ def test_a_disc_is_filled_evenly(count: int):
         densest = np.sqrt(2 * np.pi / (np.sqrt(3) * count))
         # Near the middle, how far apart the first ones are depends on where in their steps they are.
         outer = points[u > 4 / count]
-        nearest = cKDTree(outer).query(outer, 2)[0][:, 1]
+        nearest = KDTree(outer).query(outer, 2)[0][:, 1]
         assert nearest.min() > 0.75 * densest
         assert np.abs(points.mean(axis=0)).max() < 2 / count
 
