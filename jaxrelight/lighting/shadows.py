@@ -98,12 +98,16 @@ class Shadows:
         return self._on_all_threads(self._tracer.blocked, asked, towards, near)
 
     def _on_all_threads(self, query, point, *given):
-        parts = np.array_split(np.arange(len(point)), min(os.cpu_count() or 1, 1 + len(point) // _EACH))
-        if len(parts) == 1:
-            return query(self.origins[point], *given)
-        with concurrent.futures.ThreadPoolExecutor(len(parts)) as pool:
-            found = pool.map(lambda mine: query(self.origins[point[mine]], *(x[mine] for x in given)), parts)
-            return np.concatenate(list(found))
+        count = min(os.cpu_count() or 1, 1 + len(point) // _EACH)
+        ends = [len(point) * k // count for k in range(count + 1)]
+
+        def part(start: int, end: int):
+            return query(self.origins[point[start:end]], *(x[start:end] for x in given))
+
+        if count == 1:
+            return part(0, len(point))
+        with concurrent.futures.ThreadPoolExecutor(count) as pool:
+            return np.concatenate(list(pool.map(part, ends[:-1], ends[1:])))
 
 
 @eqx.filter_jit
