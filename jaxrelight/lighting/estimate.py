@@ -4,7 +4,6 @@ A piece of work is a pixel and a run of samples. However counts differ, batches 
 compiled for each kind of BRDF.
 """
 
-import dataclasses
 import functools
 from collections.abc import Callable
 
@@ -58,7 +57,6 @@ def estimate(
     dtype = jnp.result_type(light.radiance.values, pixels.omega_o)
     number = jnp.asarray(runs * RUN, dtype)
     total = jnp.zeros((len(runs), 3), dtype)
-    visible = blocked and _Visible(blocked)
     for start in range(0, len(place), _BATCH):
         mine = place[start : start + _BATCH], first[start : start + _BATCH]
         if report:
@@ -67,31 +65,30 @@ def estimate(
             report(RUN * len(mine[0]))
         # Apart from what is done with them: XLA would draw anew for each of the BRDF's look-ups.
         drawn = _directions(part, pixels, number, *mine, seed)
-        if visible is None:
+        if blocked is None:
             total = _added(total, part, light, pixels, number, mine[0], drawn, filtered)
         else:
             given, towards = _drawn(part, light, pixels, number, mine[0], drawn, filtered)
-            total = _summed(total, given, visible(mine[0], towards), mine[0])
+            total = _summed(total, given, _visible(blocked, mine[0], towards), mine[0])
     return total / jnp.maximum(number, 1)[:, None]
 
 
-@dataclasses.dataclass(frozen=True)
-class _Visible:
-    """1 for rays that nothing blocks. One object for all batches: JAX compiles in what it is to call back."""
+def _visible(blocked: Blocked, place, towards):
+    """1 for rays that nothing blocks."""
 
-    blocked: Blocked
-
-    def __call__(self, place, towards):
-        shape = jax.ShapeDtypeStruct(towards.shape[:2], np.float32)
-        return jax.pure_callback(self._traced, shape, place, jax.lax.stop_gradient(towards), vmap_method="sequential")
-
-    def _traced(self, place, towards) -> Float[np.ndarray, "k n"]:
+    def traced(place, towards) -> Float[np.ndarray, "k n"]:
         flat, point = np.asarray(towards).reshape(-1, 3), np.repeat(np.asarray(place), towards.shape[1])
         x, y, z = flat.T
         real = (x != 0) | (y != 0) | (z != 0)
         found = np.zeros(len(flat), np.float32)
-        found[real] = ~self.blocked(*((point, flat) if real.all() else (point[real], flat[real])))
+        found[real] = ~blocked(*((point, flat) if real.all() else (point[real], flat[real])))
         return found.reshape(towards.shape[:2])
+
+    if not isinstance(towards, jax.core.Tracer):
+        # Called back, it would be compiled for every batch.
+        return traced(place, towards)
+    shape = jax.ShapeDtypeStruct(towards.shape[:2], np.float32)
+    return jax.pure_callback(traced, shape, place, jax.lax.stop_gradient(towards), vmap_method="sequential")
 
 
 @jax.jit

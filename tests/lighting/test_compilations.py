@@ -9,6 +9,9 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight.lighting.adaptive import AdaptiveShader
+from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lights.pyramid import light_pyramid
 
 SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
@@ -94,3 +97,14 @@ def test_opening_the_store_again_compiles_nothing(tmp_path):
         other = _picture(scene, SETTINGS, tmp_path)
     assert not compiled
     np.testing.assert_array_equal(one, other)
+
+
+def test_shaded_again_shadows_compile_nothing():
+    """However many batches their rays come in."""
+    shader = AdaptiveShader(look_at(_scene(13, 30)), CAMERA)
+    light = light_pyramid(SKY)
+    few = np.asarray(shader.uniform(light, 16, shadows=True))
+    with _compilations() as compiled:
+        many = np.asarray(shader.uniform(light, 1024, shadows=True))
+    assert not compiled
+    assert 0 < np.abs(few - many).max() < 1
