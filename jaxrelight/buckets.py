@@ -20,5 +20,6 @@ def filled_up(rows: np.ndarray, length: int, fill: int = 0) -> np.ndarray:
 
     NumPy's, so that nothing is compiled to put them in place.
     """
-    wider = np.pad(rows, ((0, length - len(rows)), *[(0, 0)] * (rows.ndim - 1)), constant_values=fill)
-    return wider.astype(np.int32 if wider.dtype.kind == "i" else np.float32)
+    wider = np.full((length, *rows.shape[1:]), fill, np.int32 if rows.dtype.kind == "i" else np.float32)
+    wider[: len(rows)] = rows
+    return wider

@@ -58,14 +58,17 @@ class Camera:
         right = np.cross(forward, np.asarray(self.up, float))
         right /= np.linalg.norm(right)
         up = np.cross(right, forward)
-        half = np.tan(np.radians(self.fov_y) / 2)
-        x = ((np.arange(self.width) + 0.5) * 2 - self.width) / self.height * half
-        y = (1 - (np.arange(self.height) + 0.5) * 2 / self.height) * half
-        ray = forward + x[None, :, None] * right + y[:, None, None] * up
-        return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+        x, y, length = self._plane()
+        return (forward + x[..., None] * right + y[..., None] * up) / length[..., None]
 
     def solid_angles(self) -> Float[np.ndarray, "h w"]:
         """Of every pixel, in steradians: its area at distance 1 along the axis, times cos³ of its angle from it."""
-        forward = np.subtract(self.target, self.origin)
-        cosine = self.directions() @ (forward / np.linalg.norm(forward))
-        return (2 * np.tan(np.radians(self.fov_y) / 2) / self.height) ** 2 * cosine**3
+        _, _, length = self._plane()
+        return (2 * np.tan(np.radians(self.fov_y) / 2) / self.height) ** 2 / (length * length * length)
+
+    def _plane(self):
+        """Columns' and rows' places at distance 1 along the axis, and how far away each pixel is there."""
+        half = np.tan(np.radians(self.fov_y) / 2)
+        x = ((np.arange(self.width) + 0.5) * 2 - self.width) / self.height * half
+        y = (1 - (np.arange(self.height) + 0.5) * 2 / self.height) * half
+        return x[None, :], y[:, None], np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)

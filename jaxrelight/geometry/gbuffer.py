@@ -1,6 +1,7 @@
 """What is seen along rays: the surface points of a camera's pixels, or of any others."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -8,9 +9,12 @@ from jaxtyping import Bool, Float, Int
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.threads import in_parts
 
 # Of a face seen nearly edge on, which covers no more of a texture than this says.
 _LEAST_COSINE = 1e-3
+# Pixels of a part.
+_EACH = 16384
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,23 +56,35 @@ class GBuffer:
 
 def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer:
     """One ray through every pixel's centre."""
-    directions = camera.directions()
-    origins = np.broadcast_to(surfaces.to_scene(np.asarray(camera.origin)), directions.shape)
-    return trace_points(surfaces, tracer, origins, directions, camera.solid_angles())
+    directions, solid_angles = camera.directions(), camera.solid_angles()
+    origin = surfaces.to_scene(np.asarray(camera.origin))
+
+    def band(rows: slice) -> GBuffer:
+        return trace_points(surfaces, tracer, origin, directions[rows], solid_angles[rows])
+
+    bands = in_parts(band, camera.height, -(-_EACH // camera.width))
+    if len(bands) == 1:
+        return bands[0]
+    names = [field.name for field in dataclasses.fields(GBuffer)]
+
+    def joined(which: slice):
+        return [np.concatenate([getattr(one, name) for one in bands]) for name in names[which]]
+
+    return GBuffer(*itertools.chain(*in_parts(joined, len(names), 1)))
 
 
 def trace_points(
     surfaces: Surfaces,
     tracer: Tracer,
-    origins: Float[np.ndarray, "*h 3"],
+    origins: Float[np.ndarray, "*o 3"],
     directions: Float[np.ndarray, "*h 3"],
     solid_angles: Float[np.ndarray, "*h"],
 ) -> GBuffer:
     """The first surface point along each ray, which stands for a pixel of some solid angle.
 
-    Origins are in scene space; lift them off the surface that they are on.
+    Origins, one of each or one for all, are in scene space; lift them off the surface that they are on.
     """
-    flat, origin = directions.reshape(-1, 3), origins.reshape(-1, 3)
+    flat, origin = directions.reshape(-1, 3), origins if origins.ndim == 1 else origins.reshape(-1, 3)
     face, weights = tracer.first_hits(origin, flat)
     covered = face >= 0
     face, weights = face[covered], weights[covered]
@@ -87,7 +103,7 @@ def trace_points(
     positions = interpolated(surfaces.vertices)
     footprint, uv, tangents = np.zeros(len(face)), np.zeros((len(face), 2)), np.zeros((len(face), 3))
     if surfaces.has_uv:
-        distance = np.linalg.norm(positions - origin[covered], axis=1)
+        distance = np.linalg.norm(positions - (origin if origin.ndim == 1 else origin[covered]), axis=1)
         cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))
         seen = solid_angles.reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
         footprint, uv = seen * surfaces.uv_densities(face), interpolated(surfaces.uv)

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
 from jaxrelight.brdf.texture import look_up
+from jaxrelight.buckets import filled_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.curvature import curvature
@@ -73,12 +74,10 @@ class AdaptiveShader:
             facing = np.asarray(m.pixels.omega_o[:, 2]) > 0
             self._material[np.minimum(m.pixels.pixel, seen.covered.size)[facing]] = number
         self._material = self._material[:-1].reshape(seen.covered.shape)
-        bend, place = np.zeros(seen.covered.size, np.float32), np.flatnonzero(seen.covered)
-        bend[place] = curvature(seen.gbuffer, seen.shadows.radius)
         eye = np.asarray(camera.origin)
-        self.probes = [self._probe(number, m, bend, eye) for number, m in enumerate(seen.materials)]
+        self.probes = [self._probe(number, m, eye) for number, m in enumerate(seen.materials)]
 
-    def _probe(self, number: int, m: SeenMaterial, bend, eye) -> "_Probe":
+    def _probe(self, number: int, m: SeenMaterial, eye) -> "_Probe":
         """Every fourth of the picture's pixels, and those that see another material than all of them around."""
         every = np.zeros_like(self._material, bool)
         every[:: 2 * self.factor, :: 2 * self.factor] = True
@@ -87,16 +86,13 @@ class AdaptiveShader:
         pixel = np.asarray(m.pixels.pixel)
         real = np.flatnonzero(pixel < mine.size)
         asked = real[(mine & (every | ~near)).ravel()[pixel[real]]]
-        position = np.asarray(m.positions(self.seen.shadows))
+        point = np.searchsorted(np.flatnonzero(self.seen.covered), pixel[asked])
+        bend = curvature(self.seen.gbuffer, self.seen.shadows.radius, point)
+        distance = np.linalg.norm(np.asarray(m.positions(self.seen.shadows))[asked] - eye, axis=1)
         rows = jax.tree.map(lambda x: jnp.asarray(padded(np.asarray(x), asked)), m.pixels)
         pixels = eqx.tree_at(lambda of: of.pixel, rows, jnp.asarray(padded(pixel, asked, mine.size)))
-        distance = np.linalg.norm(position - eye, axis=1)
-        return _Probe(
-            pixels,
-            jnp.asarray(padded(bend[np.minimum(pixel, mine.size - 1)], asked)),
-            jnp.asarray(padded(distance, asked)),
-            m.start + asked,
-        )
+        bend, distance = (jnp.asarray(filled_up(x, len(pixels.pixel))) for x in (bend, distance))
+        return _Probe(pixels, bend, distance, m.start + asked)
 
     def predicted(
         self, light: LightPyramid, samples: int = 16, shadows: bool = False
@@ -223,7 +219,7 @@ class AdaptiveShader:
             for m, parts in zip(self.seen.materials, self.parts, strict=True):
                 if one.number >= len(parts):
                     continue
-                deviation, visible = (self._of(m, np.asarray(of, float)) for of in (one.deviation, one.visible))
+                deviation, visible = (self._of(m, np.asarray(of)).astype(float) for of in (one.deviation, one.visible))
                 real = np.flatnonzero(deviation > 0)
                 places = real[np.unique(np.linspace(0, len(real) - 1, 2 * _TRIED).astype(int))] if len(real) else real
                 counts = np.zeros(len(deviation), int)
@@ -252,7 +248,8 @@ class AdaptiveShader:
 
     def _of(self, m: SeenMaterial, image: np.ndarray) -> np.ndarray:
         """What a material's pixels have of an image; 0 for padding."""
-        return np.append(image.ravel(), 0)[np.minimum(m.pixels.pixel, image.size)]
+        pixel = np.asarray(m.pixels.pixel)
+        return np.where(pixel < image.size, image.ravel()[np.minimum(pixel, image.size - 1)], 0)
 
     def _asked(self, k: int, predicted, white: float) -> Asked:
         """What the light of component k is predicted to depend on, the largest around each pixel."""
@@ -283,7 +280,8 @@ class AdaptiveShader:
             if k < len(parts):
                 kind = np.where(self._material == number, number, kind)
         features = Features(jnp.asarray(kind), self._mirrored, angular, self._position, spatial, contrast)
-        return Asked(k, hierarchy(features), visible, deviation, bandwidth)
+        inside = self.factor.bit_length() - 1
+        return Asked(k, hierarchy(features, inside), visible, deviation, bandwidth)
 
     @functools.cached_property
     def _mirrored(self) -> Float[Array, "h w 3"]:
@@ -340,9 +338,9 @@ def _scattered(rows, size: int):
 
 @jax.jit
 def _mirrored(pixels):
-    normal = pixels.frame[:, 2]
-    eye = jnp.einsum("pxy,px->py", pixels.frame, pixels.omega_o, precision="highest")
-    return 2 * pixels.omega_o[:, 2:] * normal - eye
+    # Written out: products of small matrices are slow.
+    x, y, z = (pixels.omega_o[:, k, None] * pixels.frame[:, k] for k in range(3))
+    return z - x - y
 
 
 @eqx.filter_jit
@@ -353,6 +351,16 @@ def _weight(weight, pixels):
 @functools.partial(jax.jit, static_argnames="window")
 def _most(image, window: int):
     """The largest around each pixel."""
-    for axis in ((window, 1, 1), (1, window, 1)):
-        image = jax.lax.reduce_window(image, -jnp.inf, jax.lax.max, axis, (1, 1, 1), "SAME")
+    whole, reach, steps = window // 2, 0, []
+    while reach < whole:
+        # Of three pixels so far apart, each the largest around.
+        steps.append(min(2 * reach + 1, whole - reach))
+        reach += steps[-1]
+    for axis in (0, 1):
+        image = jnp.pad(image, [(whole * (k == axis),) * 2 for k in range(3)], constant_values=-jnp.inf)
+        for step in steps:
+            three, apart = ([value if k == axis else 1 for k in range(3)] for value in (3, step))
+            image = jax.lax.reduce_window(
+                image, -jnp.inf, jax.lax.max, three, (1, 1, 1), "VALID", window_dilation=apart
+            )
     return image

@@ -56,7 +56,7 @@ def estimate(
     place, first = np.pad(place, (0, end), constant_values=len(runs)), np.pad(first, (0, end))
     dtype = jnp.result_type(light.radiance.values, pixels.omega_o)
     number = jnp.asarray(runs * RUN, dtype)
-    total = jnp.zeros((len(runs), 3), dtype)
+    total, waiting = jnp.zeros((len(runs), 3), dtype), []
     for start in range(0, len(place), _BATCH):
         mine = place[start : start + _BATCH], first[start : start + _BATCH]
         if report:
@@ -68,9 +68,17 @@ def estimate(
         if blocked is None:
             total = _added(total, part, light, pixels, number, mine[0], drawn, filtered)
         else:
-            given, towards = _drawn(part, light, pixels, number, mine[0], drawn, filtered)
-            total = _summed(total, given, _visible(blocked, mine[0], towards), mine[0])
+            waiting.append((mine[0], *_drawn(part, light, pixels, number, mine[0], drawn, filtered)))
+            if len(waiting) > 1:
+                # Rays are cast while the next batch is drawn.
+                total = _lit(total, blocked, *waiting.pop(0))
+    for one in waiting:
+        total = _lit(total, blocked, *one)
     return total / jnp.maximum(number, 1)[:, None]
+
+
+def _lit(total, blocked, place, given, towards):
+    return _summed(total, given, _visible(blocked, place, towards), place)
 
 
 def _visible(blocked: Blocked, place, towards):

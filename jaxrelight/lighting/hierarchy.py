@@ -31,10 +31,11 @@ _LEAST = 1e-3
 # Tolerances of levels: this power of two smaller from one to the next coarser one.
 _SHARE = 1.0
 # Parents of a new pixel between two of a row, as (down, right) in steps of the finer lattice; and between four. New
-# pixels of a kind lie so many of those steps down and right of the coarser lattice's.
+# pixels of a kind lie so many of those steps down and right of the coarser lattice's. The nearest parents come first,
+# two or four of them.
 _ROW = ((0, -1), (0, 1), (-2, -1), (-2, 1), (2, -1), (2, 1), (0, -3), (0, 3))
 _FOUR = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 3), (1, 3), (-1, -3), (1, -3), (3, -1), (3, 1), (-3, -1), (-3, 1))
-_KINDS = (((0, 1), _ROW), ((1, 0), tuple((x, y) for y, x in _ROW)), ((1, 1), _FOUR))
+_KINDS = (((0, 1), _ROW, 2), ((1, 0), tuple((x, y) for y, x in _ROW), 2), ((1, 1), _FOUR, 4))
 
 
 class Features(NamedTuple):
@@ -98,8 +99,8 @@ class Hierarchy(eqx.Module):
         return np.where(np.asarray(self.shaded), 0, _levels(self.shaded.shape))
 
 
-@jax.jit
-def hierarchy(features: Features) -> Hierarchy:
+@functools.partial(jax.jit, static_argnames="inside")
+def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
     """The coarsest lattice must be shaded, and what has no parents like it; all others have an error.
 
     Weights are those of a linear function through the parents, by least squares, nearer ones counted more. With q the
@@ -108,28 +109,28 @@ def hierarchy(features: Features) -> Hierarchy:
 
     Args:
         features: of all pixels.
+        inside: as many of the finest levels lie within pixels of the picture, which are means over them: only the
+            nearest parents count there.
     """
     h, w = features.kind.shape
-    aside = jnp.where(jnp.abs(features.mirror[..., 1:2]) < 0.9, jnp.asarray([0.0, 1, 0]), jnp.asarray([1.0, 0, 0]))
-    right = jnp.cross(features.mirror, aside)
-    right = right / jnp.maximum(jnp.linalg.norm(right, axis=-1, keepdims=True), 1e-9)
     # Planes: sums over an innermost axis of three are slow.
-    place, axes = (
-        _whole(jnp.concatenate([jnp.moveaxis(x, -1, 0) for x in both]))
-        for both in ((features.mirror, features.position), (right, jnp.cross(features.mirror, right)))
-    )
-    rates = _whole(jnp.stack([features.angular, features.spatial, features.contrast]))
+    mirror, position = (_whole(jnp.moveaxis(x, -1, 0)) for x in (features.mirror, features.position))
+    place, axes = jnp.concatenate([mirror, position]), _across(mirror)
     kinds = _whole(features.kind, -1)
-    error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, rates.dtype)
-    weights, most = [], [rates]
+    # Each level's on its own lattice.
+    most = [_whole(jnp.stack([features.angular, features.spatial, features.contrast]))]
     for level in range(LEVELS):
-        most.append(_most_within(most[-1], kinds, 1 << level))
+        most.append(_lattice(_most_around(most[-1], _lattice(kinds, level)), 1))
+    error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, place.dtype)
+    weights = []
     for level in range(LEVELS - 1, -1, -1):
-        reach = jnp.stack([most[level], most[level + 1]])
-        theirs = [_wider(_lattice(x, level + 1)) for x in (place, reach)] + [_wider(_lattice(kinds, level + 1), -1)]
+        reach = jnp.stack([_lattice(most[level], 1), most[level + 1]])
+        theirs = [_wider(x) for x in (_lattice(place, level + 1), reach)] + [_wider(_lattice(kinds, level + 1), -1)]
         errors = [error]
-        for offset, parents in _KINDS:
-            own = [_lattice(x, level, offset) for x in (place, axes, most[level], kinds)]
+        for offset, parents, nearest in _KINDS:
+            parents = parents[:nearest] if level < inside else parents
+            mine, rates = (_lattice(x, level, offset) for x in (place, axes, kinds)), _lattice(most[level], 0, offset)
+            own = *mine, rates
             found, wrong = _between(own, theirs, offset, parents)
             errors.append(wrong)
             weights.append(found)
@@ -138,11 +139,22 @@ def hierarchy(features: Features) -> Hierarchy:
     return Hierarchy(*found, *_within(*found, 0.0))
 
 
-def _most_within(rates, kinds, step: int):
-    """The largest of each pixel and its kind a step away: an edge asks for all pixels whose parents span it."""
+def _across(mirror):
+    """Two unit directions square to each mirror and to each other."""
+    x, y, z = mirror
+    # Square to the second axis of the world; where that is near, to the first.
+    far = jnp.abs(y) < 0.9
+    right = jnp.stack([jnp.where(far, -z, 0), jnp.where(far, 0, z), jnp.where(far, x, -y)])
+    right = right / jnp.maximum(jnp.sqrt(_sum(right**2)), 1e-9)
+    a, b, c = right
+    return jnp.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
+
+
+def _most_around(rates, kinds):
+    """The largest of each pixel and its kind around: an edge asks for all pixels whose parents span it."""
     for axis in (-2, -1):
         sides = []
-        for way in (-step, step):
+        for way in (-1, 1):
             there = jnp.roll(kinds, way, axis) == kinds
             sides.append(jnp.where(there, jnp.roll(rates, way, axis), 0))
         rates = jnp.maximum(rates, jnp.maximum(*sides))
@@ -151,7 +163,7 @@ def _most_within(rates, kinds, step: int):
 
 def _between(own, theirs, offset, parents):
     """Of new pixels of a kind, the weights of their parents, and the error of what lies between those."""
-    place, axes, (angular, spatial, contrast), kind = own
+    place, axes, kind, (angular, spatial, contrast) = own
 
     def parent(given):
         (y, x), image, far = given
@@ -273,14 +285,15 @@ def _passed(shaded, weights, image, joined):
     found, weights = _lattice(image, LEVELS), iter(weights)
     for level in range(LEVELS - 1, -1, -1):
         coarse, new = _wider(found), [found]
-        for offset, parents in _KINDS:
+        for offset, parents, _ in _KINDS:
 
             def added(total, given, coarse=coarse):
                 weight, (y, x) = given
                 return total + weight * _moved(coarse, y, x), None
 
-            own = _lattice(image, level, offset)
-            between, _ = jax.lax.scan(added, jnp.zeros_like(own), (next(weights), _corners(offset, parents)))
+            own, theirs = _lattice(image, level, offset), next(weights)
+            given = theirs, _corners(offset, parents[: len(theirs)])
+            between, _ = jax.lax.scan(added, jnp.zeros_like(own), given)
             new.append(jnp.where(_lattice(shaded, level, offset), own, joined(own, between)))
         found = _woven(new)
     return jnp.moveaxis(found[:, :h, :w], 0, -1)

@@ -238,23 +238,20 @@ def _candidate(asked: Asked, tolerance: float, power: float) -> _CandidateLayer:
 
 def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
     """Runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget."""
-    wanted = [np.asarray(of, float) / RUN for of, _ in layers]
     shaded = [np.asarray(of) for _, of in layers]
+    wanted = [np.asarray(of)[where].astype(float) / RUN for (of, _), where in zip(layers, shaded, strict=True)]
 
     def at(scale: float):
-        return [
-            np.where(of, np.round(np.clip(scale * one, 1, MOST // RUN)) * RUN, 0).astype(np.int32)
-            for one, of in zip(wanted, shaded, strict=True)
-        ]
+        return [np.round(np.clip(scale * one, 1, MOST // RUN)) * RUN for one in wanted]
 
-    low, high = (
-        0.0,
-        2 * budget / max(sum(float(np.sum(one[of])) for one, of in zip(wanted, shaded, strict=True)), 1e-30),
-    )
+    low, high = 0.0, 2 * budget / max(sum(float(one.sum()) for one in wanted), 1e-30)
     for _ in range(16):
         middle = (low + high) / 2
-        low, high = (low, middle) if sum(int(each.sum()) for each in at(middle)) > budget else (middle, high)
-    return at(low)
+        low, high = (low, middle) if sum(each.sum() for each in at(middle)) > budget else (middle, high)
+    counts = [np.zeros(where.shape, np.int32) for where in shaded]
+    for image, where, each in zip(counts, shaded, at(low), strict=True):
+        image[where] = each
+    return counts
 
 
 @jax.jit

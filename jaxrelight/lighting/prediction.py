@@ -22,8 +22,8 @@ from jaxrelight.lighting.random_numbers import even_numbers
 from jaxrelight.lighting.sampled import Sampled
 from jaxrelight.lights.pyramid import LightPyramid
 
-# Pixels at a time: what is made for them fits a processor's cache.
-_TOGETHER = 1024
+# Pixels at a time: enough for all cores, and what is made for them nearly fits their caches.
+_TOGETHER = 8192
 # Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
 _LEAST_DISTANCE = 1e-3
 # Textures count as so many times faster: a checked one has all its contrast at its bandwidth, where light has little.

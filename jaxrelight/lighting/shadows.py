@@ -1,9 +1,7 @@
 """Shadow rays from points to lights, inside differentiable functions: they stand still in derivatives."""
 
 import collections
-import concurrent.futures
 import hashlib
-import os
 
 import equinox as eqx
 import jax
@@ -13,8 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lights.local import Incident, Punctual
+from jaxrelight.threads import in_parts
 
-# Rays that are worth a thread of their own.
+# Rays of a part.
 _EACH = 8192
 # Bytes of what was found for lights before, and of what keeping it costs each time: a sky of 256 at a million points.
 _KEPT, _EACH_KEPT = 32 << 20, 300
@@ -98,16 +97,10 @@ class Shadows:
         return self._on_all_threads(self._tracer.blocked, asked, towards, near)
 
     def _on_all_threads(self, query, point, *given):
-        count = min(os.cpu_count() or 1, 1 + len(point) // _EACH)
-        ends = [len(point) * k // count for k in range(count + 1)]
+        def part(rows: slice):
+            return query(self.origins[point[rows]], *(x[rows] for x in given))
 
-        def part(start: int, end: int):
-            return query(self.origins[point[start:end]], *(x[start:end] for x in given))
-
-        if count == 1:
-            return part(0, len(point))
-        with concurrent.futures.ThreadPoolExecutor(count) as pool:
-            return np.concatenate(list(pool.map(part, ends[:-1], ends[1:])))
+        return np.concatenate(in_parts(part, len(point), _EACH))
 
 
 @eqx.filter_jit

@@ -27,3 +27,10 @@ def test_of_a_sphere_it_is_one_over_its_radius(radius: float):
 def test_of_planes_and_their_edges_it_is_nothing():
     assert np.abs(curvature_of(plane([2, 2]))).max() < 1e-6
     assert np.mean(curvature_of(box([1, 1, 1])) > 1e-3) < 0.02
+
+
+def test_of_some_points_it_is_theirs():
+    surfaces = Scene([Part(sphere(0.5, 24), "skin")], {"skin": lambert(0.5)}, CAMERA, name="one").surfaces()
+    gbuffer = trace_gbuffer(surfaces, Tracer(surfaces), CAMERA)
+    some = np.array([5, 300, 2, 2])
+    np.testing.assert_array_equal(curvature(gbuffer, 2.0, some), curvature(gbuffer, 2.0)[some])

@@ -1,8 +1,12 @@
 """What a camera sees, by closed forms and against the alpha of a reference image."""
 
+import dataclasses
+import os
+
 import numpy as np
 import pytest
 
+from jaxrelight.geometry import gbuffer as module
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import GBuffer, trace_gbuffer
 from jaxrelight.geometry.mesh import Mesh, transformed
@@ -33,6 +37,16 @@ def test_a_plane_is_seen_where_rays_meet_it():
     for normals in (gbuffer.normals, gbuffer.face_normals):
         np.testing.assert_allclose(normals, np.tile([0, 1, 0], (inside.sum(), 1)), atol=1e-12)
     np.testing.assert_array_equal(gbuffer.mesh, 0)
+
+
+def test_bands_on_several_threads_are_the_whole(monkeypatch):
+    camera = Camera((0, 0.5, 3), (0, 0, 0), fov_y=20, width=13, height=11)
+    _, whole = traced([sphere(0.5, 6), plane((2, 2))], camera)
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
+    monkeypatch.setattr(module, "_EACH", 30)
+    _, banded = traced([sphere(0.5, 6), plane((2, 2))], camera)
+    for field in dataclasses.fields(GBuffer):
+        np.testing.assert_array_equal(getattr(banded, field.name), getattr(whole, field.name))
 
 
 def test_barycentric_weights_give_position_and_smooth_normal():

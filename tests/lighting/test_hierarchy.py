@@ -133,3 +133,17 @@ def test_coarse_pixels_are_shaded_for_smaller_errors():
     level, own = np.asarray(found.levels()), np.asarray(found.error)
     most = [own[level == of].max(initial=0) for of in range(1, LEVELS + 1)]
     assert all(one <= 0.2 / 2**of + 1e-6 for of, one in enumerate(most, start=1))
+
+
+def test_inside_pixels_the_nearest_parents_alone_count():
+    """Of two and four where there are eight and twelve; linear functions are reproduced all the same."""
+    found = hierarchy(features(), inside=2)
+    assert [len(of) for of in found.weights] == [8, 8, 12] * (LEVELS - 2) + [2, 2, 4] * 2
+    between = found.within(0.02)
+    image = np.asarray(features().mirror) @ np.array([[0.5, 2], [1, -1], [0, 0]], np.float32) + 3
+    shaded = np.asarray(between.shaded)
+    assert shaded.mean() < 0.7
+    np.testing.assert_allclose(between.filled(jnp.asarray(np.where(shaded[..., None], image, 7))), image, atol=0.02)
+    # Those of coarser levels are what they are without.
+    for one, other in zip(found.weights[:-6], plain().weights[:-6], strict=True):
+        np.testing.assert_array_equal(one, other)
