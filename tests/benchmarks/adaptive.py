@@ -132,12 +132,12 @@ def compare(report: Report, mesh: str, materials: Sequence[str], size: int, samp
 
 
 def first_good(good: Callable[[float], bool], most: float) -> float:
-    """The first number of samples that is good enough, from 16 up to the most, each √√2 of the last."""
-    low, high = 0, int(np.ceil(4 * np.log2(most / 16)))
+    """The first number of samples that is good enough, from 16 up to the most, eight from one to twice as many."""
+    low, high = 0, int(np.ceil(8 * np.log2(most / 16)))
     while low < high:
         middle = (low + high) // 2
-        low, high = (low, middle) if good(16 * 2 ** (middle / 4)) else (middle + 1, high)
-    return 16 * 2 ** (low / 4)
+        low, high = (low, middle) if good(16 * 2 ** (middle / 8)) else (middle + 1, high)
+    return 16 * 2 ** (low / 8)
 
 
 def as_good(case: Case, wanted: float, baseline: float, *, filtered: bool = True) -> list[str]:
