@@ -62,7 +62,7 @@ _SHIFT = np.full(2, 1 << 31, np.uint32)
 
 
 @eqx.filter_jit
-def draw(part: Sampled, pixels: SurfacePixels, samples: int = 16) -> tuple[Float[Array, "p n 3"], Float[Array, "p n"]]:
+def draw(part: Sampled, pixels: SurfacePixels, samples: int) -> tuple[Float[Array, "p n 3"], Float[Array, "p n"]]:
     """Directions of the samples that predict, in each pixel's frame, and their densities."""
     numbers = even_numbers(jnp.arange(samples), jnp.asarray(samples), jnp.asarray(_SHIFT))
 

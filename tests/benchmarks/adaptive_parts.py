@@ -71,7 +71,7 @@ def parts_of_it(report: Report, case: Case):
 def probes(report: Report, case: Case):
     """Samples that predict (figure 12)."""
     rows = []
-    for count in (16, 64, 256, 1024):
+    for count in (8, 16, 64, 256, 1024):
         jax.block_until_ready(case.shader.predicted(case.light, count))
         start = time.perf_counter()
         predicted = jax.block_until_ready(case.shader.predicted(case.light, count))
