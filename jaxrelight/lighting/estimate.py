@@ -10,6 +10,7 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.lighting.prefiltered import SurfacePixels
@@ -92,7 +93,7 @@ def _visible(blocked: Blocked, place, towards):
         found[real] = ~blocked(*((point, flat) if real.all() else (point[real], flat[real])))
         return found.reshape(towards.shape[:2])
 
-    if not isinstance(towards, jax.core.Tracer):
+    if not isinstance(towards, Tracer):
         # Called back, it would be compiled for every batch.
         return traced(place, towards)
     shape = jax.ShapeDtypeStruct(towards.shape[:2], np.float32)
