@@ -275,7 +275,7 @@ class AdaptiveShader:
             found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))
         image = _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
         angular, spatial, contrast, visible, deviation, bandwidth = jnp.moveaxis(
-            _most(image, 2 * self.factor + 1), -1, 0
+            largest_around(image, 2 * self.factor + 1), -1, 0
         )
         kind = np.full(self._material.shape, -1, np.int32)
         for number, parts in enumerate(self.parts):
@@ -351,7 +351,7 @@ def _weight(weight, pixels):
 
 
 @functools.partial(jax.jit, static_argnames="window")
-def _most(image, window: int):
+def largest_around(image, window: int):
     """The largest around each pixel."""
     whole, reach, steps = window // 2, 0, []
     while reach < whole:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from jaxrelight import Camera, Part, Scene, environment, lambert, phong, plane, sphere
 from jaxrelight.basis import latlong
@@ -19,7 +20,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive import AdaptiveShader, display_slope
+from jaxrelight.lighting.adaptive import AdaptiveShader, display_slope, largest_around
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.local import directional
@@ -247,3 +248,10 @@ def test_the_slope_is_that_of_what_is_displayed():
     slope = (srgb_encode(x + 1e-6) - srgb_encode(x - 1e-6)) / 2e-6
     np.testing.assert_allclose(display_slope(jnp.asarray(x)), slope, rtol=1e-3)
     assert float(display_slope(jnp.asarray(100.0))) < 1e-3
+
+
+@pytest.mark.parametrize("window", [1, 3, 5, 9])
+def test_the_largest_around_each_pixel(window: int):
+    image = np.random.default_rng(window).random((13, 11, 2), np.float32)
+    wanted = ndimage.maximum_filter(image, (window, window, 1), mode="constant")
+    np.testing.assert_array_equal(largest_around(jnp.asarray(image), window), wanted)

@@ -152,6 +152,20 @@ def test_what_is_blocked_is_dark():
     assert not np.asarray(dark).any()
 
 
+@pytest.mark.parametrize("traced", [jax.jit, jax.grad])
+def test_rays_inside_of_what_is_traced_are_those_outside(traced):
+    """Called back there, and called directly here; linear in light, so the gradient along it is the sum itself."""
+    part, pixels = sampled(lambert(0.5)), view().pixels
+
+    def total(values):
+        light = eqx.tree_at(lambda of: of.radiance.values, sky(), values)
+        return jnp.sum(estimate(part, light, pixels, counts(RUN), blocked=lambda _, towards: towards[:, 1] < 0))
+
+    values = sky().radiance.values
+    found = traced(total)(values)
+    np.testing.assert_allclose(jnp.sum(found * values) if traced is jax.grad else found, total(values), rtol=1e-4)
+
+
 @pytest.mark.usefixtures("x64")
 def test_gradients_are_those_of_differences():
     """In the sky's pixels and in a BRDF, while samples stand still."""
