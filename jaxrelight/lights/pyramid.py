@@ -27,7 +27,7 @@ class Cells(eqx.Module):
         rows: of the finest level, a power of two; twice as many columns.
     """
 
-    values: Float[Array, "c t"]
+    values: Float[Array, "t c"]
     rows: int = eqx.field(static=True)
 
     def look_up(
@@ -36,8 +36,8 @@ class Cells(eqx.Module):
         """The mean over about a solid angle, between the cells of a level; without one, or a small one, in a texel."""
         if solid_angle is None:
             row, column = (v * self.rows).astype(jnp.int32), (u * 2 * self.rows).astype(jnp.int32)
-            place = jnp.clip(row, 0, self.rows - 1) * 2 * self.rows + column % (2 * self.rows)
-            return jnp.stack([one.at[place].get(mode="promise_in_bounds") for one in self.values])
+            place = jnp.clip(row, 0, self.rows - 1) * 2 * self.rows + (column & (2 * self.rows - 1))
+            return self.values.at[place].get(mode="promise_in_bounds")
         area = 2 * np.pi**2 / (2 * self.rows**2) * jnp.maximum(jnp.sin(np.pi * v), 0.5 / self.rows)
         step = jnp.round(0.5 * _STEPS * jnp.log2(solid_angle / area)).astype(jnp.int32)
         step = jnp.clip(step, 0, _STEPS * (self.rows.bit_length() - 1))
@@ -51,11 +51,12 @@ class Cells(eqx.Module):
         left, top = jnp.floor(x), jnp.floor(y)
         right, down = (jnp.where(step > 0, part, 0) for part in (x - left, y - top))
         column, row = left.astype(jnp.int32), top.astype(jnp.int32)
-        found = jnp.zeros(len(self.values), self.values.dtype)
+        found = jnp.zeros(self.values.shape[1], self.values.dtype)
         for i in (0, 1):
             for j in (0, 1):
-                place = start + jnp.clip(row + i, 0, rows - 1) * (2 * rows) + (column + j) % (2 * rows)
-                cell = jnp.stack([one.at[place].get(mode="promise_in_bounds") for one in self.values])
+                # Rows are a power of two: columns go around by their bits.
+                place = start + jnp.clip(row + i, 0, rows - 1) * (2 * rows) + ((column + j) & (2 * rows - 1))
+                cell = self.values.at[place].get(mode="promise_in_bounds")
                 found += (down if i else 1 - down) * (right if j else 1 - right) * cell
         return found
 
@@ -136,8 +137,8 @@ def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
     levels.append(level)
     channels = pixels.shape[-1]
     if isinstance(pixels, jax.Array):
-        return Cells(jnp.concatenate([one.reshape(-1, channels) for one in levels]).T, rows)
-    return Cells(jnp.asarray(np.concatenate([one.reshape(-1, channels) for one in levels]).T), rows)
+        return Cells(jnp.concatenate([one.reshape(-1, channels) for one in levels]), rows)
+    return Cells(jnp.asarray(np.concatenate([one.reshape(-1, channels) for one in levels])), rows)
 
 
 def _between(coarse):
