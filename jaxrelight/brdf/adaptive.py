@@ -9,7 +9,6 @@ import math
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrelight import safe
 from jaxrelight.brdf import bilinear_warp
 from jaxrelight.brdf.contract import Brdf
 
@@ -53,9 +52,8 @@ class Adaptive(Brdf):
         isotropic = len(self.phi) <= 2
         if not isotropic:
             omega_i, omega_o = self._into_span(omega_i, omega_o)
-        half = safe.normalize(omega_i + omega_o)
         theta_o, phi_o = _spherical(omega_o)
-        theta_h, phi_h = _spherical(half)
+        theta_h, phi_h = _spherical(omega_i + omega_o)
         x, y = _square(theta_h, phi_h - phi_o if isotropic else phi_h)
         y = y - jnp.floor(y)
         (slow, slow_weight), (fast, fast_weight) = (
@@ -92,12 +90,15 @@ class Adaptive(Brdf):
         return False
 
 
-def _spherical(omega):
-    """(θ, φ); along the normal φ is 0, with a zero gradient."""
-    upright = jnp.sum(omega[:2] ** 2) < 1e-18
-    x, y = jnp.where(upright, 1, omega[0]), jnp.where(upright, 0, omega[1])
-    theta = jnp.arctan2(safe.norm(omega[:2]), omega[2])
-    return jnp.where(upright & (omega[2] >= 0), 0, theta), jnp.arctan2(y, x)
+def _spherical(vector):
+    """(θ, φ) of any length; along the normal φ is 0, with a zero gradient."""
+    # Written out: XLA's sums over three components take longer than all the rest.
+    x, y, z = vector
+    square = x * x + y * y
+    upright = square <= 1e-18 * z * z
+    aside = jnp.sqrt(jnp.where(upright, 1, square))
+    theta = jnp.arctan2(jnp.where(upright, 0, aside), jnp.where(upright & (z == 0), 1, z))
+    return theta, jnp.arctan2(jnp.where(upright, 0, y), jnp.where(upright, 1, x))
 
 
 def _square(theta, phi):
