@@ -75,9 +75,8 @@ def lobe_bandwidth(brdf: LobeSum, omega_i: Float[Array, "3"], omega_o: Float[Arr
     """
     if brdf.is_constant:
         return jnp.zeros((), omega_i.dtype)
-    peak, length = brdf.peak(omega_o)
-    dot = jnp.sum(peak * omega_i, axis=-1) * length
-    given = jnp.mean(jnp.abs(brdf.scale) * safe.power(dot, brdf.exponent), axis=1, keepdims=True)
+    powers = safe.power(brdf.cosines(omega_i, omega_o), brdf.exponent)
+    given = jnp.mean(jnp.abs(brdf.scale) * powers, axis=1, keepdims=True)
     own = jnp.sqrt(brdf.exponent * (0.5 * math.log(1 / _BEYOND))) / math.pi
     total = jnp.mean(brdf.diffuse) / math.pi + jnp.sum(given)
     return jnp.sum(given * own) / jnp.where(total > 0, total, 1) / own.shape[1]

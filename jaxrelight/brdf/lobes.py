@@ -31,9 +31,13 @@ class LobeSum(Brdf):
         """f(ω_i, ω_o) of every channel."""
         if self.is_constant:
             return self.diffuse / math.pi
+        powers = safe.power(self.cosines(omega_i, omega_o), self.exponent)
+        return self.diffuse / math.pi + jnp.sum(self.scale * powers, axis=0)
+
+    def cosines(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, "l c1"]:
+        """ω_oᵀ C_l ω_i, whose powers the lobes are."""
         x, y, z = self._in_axes(omega_i) * self._in_axes(omega_o)
-        dot = self.C[..., 0] * x + self.C[..., 1] * y + self.C[..., 2] * z
-        return self.diffuse / math.pi + jnp.sum(self.scale * safe.power(dot, self.exponent), axis=0)
+        return self.C[..., 0] * x + self.C[..., 1] * y + self.C[..., 2] * z
 
     def peak(self, omega_o: Float[Array, "3"]) -> tuple[Float[Array, "l c1 3"], Float[Array, "l c1"]]:
         """Where each lobe is largest, the unit vector along Cᵀω_o (McAllister 2002 eq. 4), and the length |Cᵀω_o|.
