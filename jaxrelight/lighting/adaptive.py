@@ -24,7 +24,7 @@ from jaxrelight.geometry.curvature import curvature
 from jaxrelight.lighting.estimate import Blocked, estimate
 from jaxrelight.lighting.hierarchy import Features, hierarchy
 from jaxrelight.lighting.pixels import padded
-from jaxrelight.lighting.planning import Asked, Noise, Plan, planned
+from jaxrelight.lighting.planning import Asked, Plan, planned
 from jaxrelight.lighting.prediction import Prediction, directions, draw, predict
 from jaxrelight.lighting.prefiltered import Seen, SeenMaterial, SurfacePixels
 from jaxrelight.lighting.sampled import Sampled, sampled
@@ -154,9 +154,9 @@ class AdaptiveShader:
             raise InputError("samples and tolerance of adaptive shading must be above 0")
         predicted = predicted or self.predicted(light, shadows=shadows)
         asked = [self._asked(k, predicted, white) for k in range(max(map(len, self.parts), default=0))]
-        pixels, noise = max(int(self.seen.covered.sum()), 1), self._noise(light, asked, shadows)
+        pixels, (asked, power) = max(int(self.seen.covered.sum()), 1), self._calibrated(light, asked, shadows)
         rows, columns = self.seen.covered.shape
-        return planned(asked, noise, (rows, columns), pixels, self.factor, samples, tolerance, shadows)
+        return planned(asked, power, (rows, columns), pixels, self.factor, samples, tolerance, shadows)
 
     def shade(
         self,
@@ -214,11 +214,15 @@ class AdaptiveShader:
         """A few directions, in every pixel: no sample would find them."""
         return self.seen.lit_by([light.turned_sun()], shadows)
 
-    def _noise(self, light: LightPyramid, asked: Sequence[Asked], shadows: bool) -> Noise:
-        """Tried out on few pixels: skies and materials differ in how soon samples meet all there is."""
-        found, expected = {_FEW: 0.0, _MORE: 0.0}, {_FEW: 0.0, _MORE: 0.0}
+    def _calibrated(self, light: LightPyramid, asked: Sequence[Asked], shadows: bool) -> tuple[list[Asked], float]:
+        """What is asked, with deviations as they are found, and the power by which error² falls.
+
+        Tried out on few pixels: skies, materials and shadows differ in how soon samples meet all there is.
+        """
+        # Of each layer's materials, error² found and expected, of few samples and of more.
+        tried: dict[tuple[int, int], np.ndarray] = {}
         for one in asked:
-            for m, parts in zip(self.seen.materials, self.parts, strict=True):
+            for number, (m, parts) in enumerate(zip(self.seen.materials, self.parts, strict=True)):
                 if one.number >= len(parts):
                     continue
                 deviation, visible = (self._of(m, np.asarray(of)).astype(float) for of in (one.deviation, one.visible))
@@ -233,14 +237,23 @@ class AdaptiveShader:
                     for each, seed in zip((counts, many), _TRIALS, strict=True)
                 )
                 apart = np.mean((few - exact) ** 2, axis=1) * visible**2
-                for number in found:
-                    found[number] += float(apart[counts == number].sum())
-                    expected[number] += float(np.sum(deviation[counts == number] ** 2))
-        if min(*found.values(), *expected.values()) <= 0:
-            return Noise(1.0, 1.0)
-        few, more = (found[number] / expected[number] for number in found)
+                sums = [[float(of[counts == n].sum()) for n in (_FEW, _MORE)] for of in (apart, deviation**2)]
+                tried[one.number, number] = np.asarray(sums)
+        found = np.sum(list(tried.values()), axis=0) if tried else np.zeros((2, 2))
+        if found.min() <= 0:
+            return list(asked), 1.0
+        few, more = found[0] / found[1]
         power = float(np.clip(np.log(few / more) / np.log(_MORE / _FEW), *_FALLS))
-        return Noise(float(np.sqrt(few * more) * (_FEW * _MORE) ** (power / 2)), power)
+        calibrated = []
+        for one in asked:
+            scale = np.zeros(self._material.shape)
+            for (layer, number), sums in tried.items():
+                if layer == one.number:
+                    # Where trials found nothing, as in all materials together.
+                    few, more = np.divide(*(sums if sums.min() > 0 else found))
+                    scale[self._material == number] = (few * more) ** 0.25 * (_FEW * _MORE) ** (power / 4)
+            calibrated.append(one._replace(deviation=one.deviation * jnp.asarray(scale, one.deviation.dtype)))
+        return calibrated, power
 
     def _blocked(self, m: SeenMaterial, shadows: bool) -> Blocked | None:
         """Whether rays from a material's pixels meet anything."""

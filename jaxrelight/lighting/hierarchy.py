@@ -87,8 +87,8 @@ class Hierarchy(eqx.Module):
         return _filled(self.shaded, self.weights, image)
 
     def spread(self, variance: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """Of each pixel, the variance that those of shaded pixels leave in it, were its parents independent."""
-        return _filled(self.shaded, tuple(w * w for w in self.weights), variance[..., None])[..., 0]
+        """Of each pixel, about the variance that those of shaded pixels leave in it."""
+        return _spread(self.shaded, self.weights, variance)
 
     def influence(self) -> Float[Array, "h w"]:
         """The factor on each shaded pixel's variance in the sum of all pixels'."""
@@ -300,8 +300,16 @@ def _passed(shaded, weights, image, joined):
 
 
 @jax.jit
+def _spread(shaded, weights, variance):
+    """Noise of shaded parents is independent; that of parents which lie between the same pixels is alike."""
+    both = tuple(jnp.stack([w * w, jnp.abs(w)], axis=1) for w in weights)
+    own = jnp.where(shaded, variance, 0)
+    image = jnp.stack([own, jnp.zeros_like(own)], axis=-1)
+    found = _passed(shaded, both, image, lambda _, between: jnp.stack([jnp.zeros_like(between[0]), sum(between)]))
+    return jnp.sum(found, axis=-1)
+
+
+@jax.jit
 def _influence(shaded, weights, asked):
-    squares = tuple(w * w for w in weights)
-    start = jnp.zeros((*shaded.shape, 1), asked.dtype)
-    _, back = jax.vjp(lambda image: _filled(shaded, squares, image), start)
-    return back(asked[..., None])[0][..., 0]
+    _, back = jax.vjp(lambda variance: _spread(shaded, weights, variance), jnp.zeros_like(asked))
+    return back(asked)[0]

@@ -21,14 +21,7 @@ from jaxrelight.lighting.random_numbers import MOST
 _TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
 _FIRST = 8
 # Of the predicted error, the root mean square of what is found: 0.03 of bumpy meshes, 0.1 of smooth ones under edges.
-_OF_PREDICTED = 0.05
-
-
-class Noise(NamedTuple):
-    """Error² of n samples is factor · deviation² / n^power: even numbers and filtered light do better than 1 / n."""
-
-    factor: float
-    power: float
+_OF_PREDICTED = 0.07
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,20 +32,20 @@ class Layer:
         between: where to shade, and what lies between.
         counts: samples of each pixel.
         bandwidth: that is predicted in the image, in cycles per pixel.
-        deviation: in displayed values; errors of samples go by it, and `noise` says by how much of it.
-        noise: how its error falls with their number.
+        deviation: in displayed values; error² of n samples is deviation² / n^power.
+        power: even numbers and filtered light do better than 1 / n.
     """
 
     between: Hierarchy
     counts: Int[np.ndarray, "h w"]
     bandwidth: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
-    noise: "Noise"
+    power: float
 
     @property
     def error(self) -> Float[Array, "h w"]:
         """That is predicted of each pixel, in displayed values."""
-        noise = self.noise.factor * self.deviation**2 * jnp.maximum(self.counts, 1.0) ** -self.noise.power
+        noise = self.deviation**2 * jnp.maximum(self.counts, 1.0) ** -self.power
         return jnp.sqrt(self.between.spread(noise) + (_OF_PREDICTED * self.between.left) ** 2)
 
 
@@ -113,7 +106,7 @@ class Asked(NamedTuple):
 
 def planned(
     asked: Sequence[Asked],
-    noise: Noise,
+    power: float,
     shape: tuple[int, int],
     pixels: int,
     factor: int,
@@ -125,7 +118,7 @@ def planned(
 
     Args:
         asked: of each layer.
-        noise: of samples.
+        power: of the number of samples, by which error² falls.
         shape: rows and columns of the view.
         pixels: of those, how many show a surface.
         factor: squared, so many pixels of the view are one of the picture.
@@ -138,7 +131,7 @@ def planned(
     def cost(step: int) -> float:
         """The error of a budget, or the budget of an error."""
         if step not in tried:
-            layers = [_candidate(one, _TOLERANCES[step], noise.power) for one in asked]
+            layers = [_candidate(one, _TOLERANCES[step], power) for one in asked]
             tried[step] = _Candidate(
                 layers,
                 sum(layer.error for layer in layers) / pixels,
@@ -148,7 +141,7 @@ def planned(
                 tolerance,
                 pixels,
                 pixels / factor**2,
-                noise,
+                power,
             )
         return tried[step].cost
 
@@ -159,7 +152,7 @@ def planned(
     best = tried[step]
     counts = _counts([(layer.wanted, layer.between.shaded) for layer in best.layers], best.budget)
     layers = [
-        Layer(layer.between, each, one.bandwidth, one.deviation, noise)
+        Layer(layer.between, each, one.bandwidth, one.deviation, power)
         for one, layer, each in zip(asked, best.layers, counts, strict=True)
     ]
     between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
@@ -189,7 +182,7 @@ class _Candidate:
         tolerance: of the error.
         pixels: of the view.
         shown: of the picture, each of one or more of those.
-        noise: of samples.
+        power: of the number of samples, by which error² falls.
     """
 
     layers: list[_CandidateLayer]
@@ -200,7 +193,7 @@ class _Candidate:
     tolerance: float | None
     pixels: int
     shown: float
-    noise: Noise
+    power: float
 
     def error_of(self, budget: float) -> float:
         """Mean error² of so many samples in the picture's pixels.
@@ -208,9 +201,8 @@ class _Candidate:
         Each of those is a mean over as many samples of the surface as it has, whose noise is their own where they are
         shaded, and the same where they lie between others.
         """
-        factor, power = self.noise
         apart = max(self.least / RUN / self.shown, 1)
-        return factor * self.spread ** (1 + power) / (self.pixels * apart) * max(budget, 1) ** -power
+        return self.spread ** (1 + self.power) / (self.pixels * apart) * max(budget, 1) ** -self.power
 
     @property
     def budget(self) -> float:
@@ -219,7 +211,7 @@ class _Candidate:
             return max(self.given, self.least)
         assert self.tolerance is not None
         left = max(self.tolerance**2 - self.error, 1e-3 * self.tolerance**2)
-        return max((self.error_of(1) / left) ** (1 / self.noise.power), self.least)
+        return max((self.error_of(1) / left) ** (1 / self.power), self.least)
 
     @property
     def cost(self) -> float:

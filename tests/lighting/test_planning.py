@@ -8,7 +8,7 @@ import pytest
 
 from jaxrelight.lighting.estimate import RUN
 from jaxrelight.lighting.hierarchy import Hierarchy, hierarchy
-from jaxrelight.lighting.planning import Asked, Noise, planned
+from jaxrelight.lighting.planning import Asked, planned
 from tests.lighting.test_hierarchy import H, W, features, plain
 
 PIXELS = H * W
@@ -29,7 +29,7 @@ def fast() -> Hierarchy:
 def plan(samples=None, tolerance=None, deviation=None, factor=1, power=1.0, between: Hierarchy | None = None):
     of = jnp.asarray(noise() if deviation is None else deviation, jnp.float32)
     asked = Asked(0, between or plain(), jnp.ones((H, W)), of, jnp.zeros((H, W)))
-    return planned([asked], Noise(1.0, power), (H, W), PIXELS, factor, samples, tolerance, shadows=False)
+    return planned([asked], power, (H, W), PIXELS, factor, samples, tolerance, shadows=False)
 
 
 @pytest.mark.parametrize("samples", [8, 64, 256])
