@@ -71,6 +71,23 @@ def test_the_error_is_what_was_asked_for(shadows: bool, tolerance: float):
     assert plan.shaded < 0.9 * shader().seen.covered.sum()
 
 
+def test_noise_is_tried_out_for_each_material(monkeypatch):
+    """So samples go where noise is found, however wrong it is predicted."""
+
+    def share():
+        plan = shader().plan(sky(), samples=64, shadows=True)
+        return plan.layers[0].counts[shader()._material == 0].sum() / plan.samples
+
+    right, asked = share(), AdaptiveShader._asked
+
+    def wrong(self, *given):
+        found = asked(self, *given)
+        return found._replace(deviation=found.deviation * np.where(self._material == 0, 10, 1))
+
+    monkeypatch.setattr(AdaptiveShader, "_asked", wrong)
+    np.testing.assert_allclose(share(), right, atol=0.05)
+
+
 def test_budgets_are_kept_and_more_is_better():
     pixels, errors = shader().seen.covered.sum(), []
     for samples in (8, 32, 128):

@@ -98,6 +98,18 @@ def test_influence_is_the_transpose_of_spread():
     np.testing.assert_allclose(np.sum(np.asarray(between.influence())[shaded] * variance[shaded]), total, rtol=1e-4)
 
 
+@pytest.mark.parametrize("tolerance", [0.1, 0.4, 2.0])
+def test_spread_is_near_the_variance_of_what_lies_between(tolerance: float):
+    """Were all parents taken for independent, it would be down to a quarter of that."""
+    between = plain().within(tolerance)
+    shaded = np.flatnonzero(np.asarray(between.shaded))
+    each = np.zeros((H * W, len(shaded)), np.float32)
+    each[shaded, np.arange(len(shaded))] = 1
+    weights = between.filled(jnp.asarray(each.reshape(H, W, -1)))
+    exact, found = jnp.sum(weights**2, axis=-1), between.spread(jnp.ones((H, W)))
+    assert 0.75 < float(jnp.sum(found) / jnp.sum(exact)) < 1.35
+
+
 def test_levels_say_what_lies_between():
     between = plain().within(1e9)
     levels = between.levels()
