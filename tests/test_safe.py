@@ -146,3 +146,14 @@ def test_power_of_a_tiny_base_is_finite_forwards(exponent):
     value, tangent = jax.jvp(lambda base: safe.power(base, exponent), (jnp.float32(1e-36),), (jnp.float32(1),))
     assert np.isfinite(value)
     assert np.isfinite(tangent)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 9])
+def test_vectors_of_any_length(n: int):
+    """Short ones are summed component by component, long ones by a reduction."""
+    vectors = np.random.default_rng(n).normal(size=(6, n)).astype(np.float32)
+    length = np.linalg.norm(vectors, axis=-1)
+    np.testing.assert_allclose(safe.norm(jnp.asarray(vectors)), length, rtol=1e-6)
+    np.testing.assert_allclose(safe.normalize(jnp.asarray(vectors)), vectors / length[:, None], rtol=1e-5)
+    slope = jax.grad(lambda v: jnp.sum(safe.norm(v)))(jnp.asarray(vectors))
+    np.testing.assert_allclose(slope, vectors / length[:, None], rtol=1e-5)
