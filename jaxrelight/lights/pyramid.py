@@ -17,18 +17,24 @@ _ROWS = 512
 # Steps from a level to the next. Cells one step too large or small for what a sample stands for cost quality: with one
 # step the errors of samples are up to half as large again.
 _STEPS = 2
+# Numbers of a cell are this many, or a multiple, which are read and weighed at once: filtered samples take 15 to 25 %
+# less time than with three.
+_AT_ONCE = 4
 
 
 class Cells(eqx.Module):
     """Means of a lat-long map over cells, each level's as wide as four of the one before, by solid angle.
 
     Attributes:
-        values: of all levels one after the other, the finest first, each followed by what lies on the way to the next.
+        values: of all levels one after the other, the finest first, each followed by what lies on the way to the next;
+            beyond the map's channels, zeros.
         rows: of the finest level, a power of two; twice as many columns.
+        channels: of the map.
     """
 
-    values: Float[Array, "t c"]
+    values: Float[Array, "t n"]
     rows: int = eqx.field(static=True)
+    channels: int = eqx.field(static=True)
 
     def look_up(
         self, u: Float[Array, ""], v: Float[Array, ""], solid_angle: Float[Array, ""] | None = None
@@ -37,7 +43,8 @@ class Cells(eqx.Module):
         if solid_angle is None:
             row, column = (v * self.rows).astype(jnp.int32), (u * 2 * self.rows).astype(jnp.int32)
             place = jnp.clip(row, 0, self.rows - 1) * 2 * self.rows + (column & (2 * self.rows - 1))
-            return self.values.at[place].get(mode="promise_in_bounds")
+            # Read alone, the zeros would cost more than they save.
+            return jax.lax.dynamic_slice(self.values, (place, 0), (1, self.channels))[0]
         area = 2 * np.pi**2 / (2 * self.rows**2) * jnp.maximum(jnp.sin(np.pi * v), 0.5 / self.rows)
         step = jnp.round(0.5 * _STEPS * jnp.log2(solid_angle / area)).astype(jnp.int32)
         step = jnp.clip(step, 0, _STEPS * (self.rows.bit_length() - 1))
@@ -58,7 +65,7 @@ class Cells(eqx.Module):
                 place = start + jnp.clip(row + i, 0, rows - 1) * (2 * rows) + ((column + j) & (2 * rows - 1))
                 cell = self.values.at[place].get(mode="promise_in_bounds")
                 found += (down if i else 1 - down) * (right if j else 1 - right) * cell
-        return found
+        return found[: self.channels]
 
 
 class LightPyramid(eqx.Module):
@@ -126,8 +133,9 @@ def light_pyramid(environment: Environment) -> LightPyramid:
 
 def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
     """All levels of a lat-long map of any size; differentiable where its pixels are JAX's."""
-    rows = _power_of_two(len(pixels))
-    level = latlong.resized(pixels, rows, 2 * rows)
+    numbers, (height, _, channels) = jnp if isinstance(pixels, jax.Array) else np, pixels.shape
+    rows = _power_of_two(height)
+    level = latlong.resized(numbers.pad(pixels, ((0, 0), (0, 0), (0, -channels % _AT_ONCE))), rows, 2 * rows)
     levels = []
     while len(level) > 1:
         coarser = latlong.resized(level, len(level) // 2, len(level))
@@ -135,10 +143,7 @@ def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
         levels += [level + k / _STEPS * towards for k in range(_STEPS)]
         level = coarser
     levels.append(level)
-    channels = pixels.shape[-1]
-    if isinstance(pixels, jax.Array):
-        return Cells(jnp.concatenate([one.reshape(-1, channels) for one in levels]), rows)
-    return Cells(jnp.asarray(np.concatenate([one.reshape(-1, channels) for one in levels])), rows)
+    return Cells(jnp.asarray(numbers.concatenate([one.reshape(-1, level.shape[-1]) for one in levels])), rows, channels)
 
 
 def _between(coarse):

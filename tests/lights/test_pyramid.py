@@ -35,7 +35,22 @@ def test_the_largest_cells_are_means_by_solid_angle(rows: int):
     weight = latlong.solid_angles(rows, 2 * rows)[:, None, None]
     for half, columns in enumerate((slice(None, rows), slice(rows, None))):
         wanted = (weight * pixels[:, columns]).sum(axis=(0, 1)) / (2 * np.pi)
-        np.testing.assert_allclose(cells(pixels).values[half - 2], wanted, rtol=1e-5)
+        np.testing.assert_allclose(cells(pixels).values[half - 2, :3], wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("solid_angle", [None, 1e-6, 0.02])
+def test_channels_are_looked_up_apart(solid_angle: float | None):
+    """However many there are."""
+    pixels = np.concatenate([noise(16), 1 + noise(16)], axis=2)
+    asked = None if solid_angle is None else jnp.float32(solid_angle)
+
+    def seen(pixels) -> np.ndarray:
+        of, (u, v) = cells(pixels), latlong.finite_coordinates(DIRECTIONS)
+        return np.asarray(jax.vmap(lambda u, v: of.look_up(u, v, asked))(u, v))
+
+    apart = np.concatenate([seen(pixels[..., k : k + 1]) for k in range(6)], axis=1)
+    for channels in range(1, 7):
+        np.testing.assert_allclose(seen(pixels[..., :channels]), apart[:, :channels], rtol=1e-6)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 12, 64])
