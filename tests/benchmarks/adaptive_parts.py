@@ -60,8 +60,8 @@ def parts_of_it(report: Report, case: Case):
     even = 16 * round(first_good(good, 2 * case.samples) / 16)
     seconds = timed(lambda: case.uniform(even, filtered=True))[1]
     rows = [
-        ["adaptive", together[0], together[2]],
-        ["adaptive, look-ups of single texels as the baseline's", apart[0], apart[2]],
+        ["adaptive", together[1], together[3]],
+        ["adaptive, look-ups of single texels as the baseline's", apart[1], apart[3]],
         ["the same number in every pixel, filtered look-ups", str(even), f"{baseline / seconds:.1f}×"],
     ]
     report.text(f"{case.name}: what it takes to be as good as the baseline, part by part.")
