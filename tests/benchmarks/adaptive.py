@@ -124,8 +124,8 @@ def compare(report: Report, mesh: str, materials: Sequence[str], size: int, samp
     report.text(
         "The baseline's time and quality; samples of adaptive shading on average, its time, how many times faster; "
         "samples used against the baseline's, pixels shaded, the shares of the time that predicting bandwidth takes, "
-        "and planning by it, and the quality of the baseline in adaptive shading's time. Times are the better of two, taken "
-        "in turns."
+        "and planning by it, and the quality of the baseline in adaptive shading's time. "
+        "Times are the better of two, taken in turns."
     )
     heads = ["picture", "baseline", "samples", "time", "faster", "used", "shaded", "bandwidth", "plan", "equal time"]
     report.table(heads, rows)
