@@ -26,6 +26,7 @@ from jaxrelight.basis import latlong
 from jaxrelight.brdf.half_sampling import half_vectors
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.sampling import directional_albedo
+from jaxrelight.lighting import estimate as estimating
 from jaxrelight.lighting.estimate import RUN, estimate
 from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
 from jaxrelight.lighting.random_numbers import MOST
@@ -193,3 +194,18 @@ def test_gradients_are_those_of_differences():
             total(*[x + (sign * 1e-4 * way if i == k else 0) for i, x in enumerate(given)]) for sign in (1, -1)
         )
         np.testing.assert_allclose(jnp.sum(gradient * way), (one - other) / 2e-4, rtol=1e-5, atol=1e-7)
+
+
+def test_cells_are_as_large_as_what_samples_stand_for(monkeypatch):
+    """Far larger ones blur, and far smaller ones are noisy."""
+    pixels = np.kron(np.random.default_rng(2).random((8, 16, 3)) ** 4, np.ones((8, 8, 1)))
+    light, part = light_pyramid(environment(pixels.astype(np.float32))), sampled(phong(0.0, 0.5, 40))
+    wanted = np.asarray(estimate(part, light, view().pixels, counts(MOST), 1))
+    off, covered = [], estimating._COVERED
+    for share in (1, 8, 1 / 64):
+        monkeypatch.setattr(estimating, "_COVERED", covered * share)
+        jax.clear_caches()
+        found = np.asarray(estimate(part, light, view().pixels, counts(64)))
+        off.append(np.sqrt(np.mean((found - wanted)[view().real] ** 2)))
+    jax.clear_caches()
+    assert 1.3 * off[0] < min(off[1:])
