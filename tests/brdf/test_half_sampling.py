@@ -1,5 +1,7 @@
 """Half-vector sampling: densities are those of samples, weights are alike, estimates have no bias."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,8 +22,13 @@ BRDFS = {
 VIEWS = jnp.asarray([[0.0, 0, 1], [0.6, 0, 0.8], [0.1, -0.95, 0.29]])
 
 
-def _samples(brdf, omega_o, count=1 << 14):
-    sampler = half_vectors(brdf).towards(omega_o / jnp.linalg.norm(omega_o))
+@functools.cache
+def _made(name: str):
+    return half_vectors(BRDFS[name])
+
+
+def _samples(vectors, omega_o, count=1 << 14):
+    sampler = vectors.towards(omega_o / jnp.linalg.norm(omega_o))
     u = even_numbers(jnp.arange(count), jnp.asarray(count), jnp.zeros(2, jnp.uint32))
     return jax.jit(jax.vmap(lambda one: sampler.drawn(*one)))(u)
 
@@ -38,7 +45,7 @@ def _samples(brdf, omega_o, count=1 << 14):
 )
 def test_samples_follow_their_density(name: str, view: int):
     """Means of functions over samples, divided by the density, are their integrals over the sphere."""
-    omega_i, pdf = _samples(BRDFS[name], VIEWS[view])
+    omega_i, pdf = _samples(_made(name), VIEWS[view])
     np.testing.assert_allclose(np.linalg.norm(omega_i, axis=1), 1, atol=1e-5)
     assert (np.asarray(pdf) > 0).all()
     upper = np.asarray(omega_i[:, 2] > 0)
@@ -57,7 +64,7 @@ def test_samples_follow_their_density(name: str, view: int):
 )  # fmt: skip
 def test_albedo_is_estimated_without_bias_and_with_little_noise(name: str, view: int):
     brdf, omega_o = BRDFS[name], VIEWS[view] / jnp.linalg.norm(VIEWS[view])
-    omega_i, pdf = _samples(brdf, omega_o)
+    omega_i, pdf = _samples(_made(name), omega_o)
     above = omega_i[:, 2] > 0
     up = jnp.asarray([0.0, 0, 1])
     value = jax.vmap(lambda one: brdf.evaluate(one, omega_o)[0])(jnp.where(above[:, None], omega_i, up))
@@ -70,14 +77,14 @@ def test_albedo_is_estimated_without_bias_and_with_little_noise(name: str, view:
 
 def test_sharp_highlight_is_hit():
     brdf = phong(0.0, 0.5, 1e4)
-    omega_i, pdf = _samples(brdf, VIEWS[1])
+    omega_i, pdf = _samples(half_vectors(brdf), VIEWS[1])
     value = jax.vmap(lambda one: brdf.evaluate(one, VIEWS[1])[0])(omega_i) * omega_i[:, 2] / pdf
     np.testing.assert_allclose(np.asarray(value).mean(), 0.5 * 0.8 * (1e4 + 2) / (1e4 + 1), rtol=0.02)
 
 
 def test_small_steps_of_numbers_are_small_steps_of_directions():
     """Even numbers stay even: there are no jumps between the table's cells, but around ±π."""
-    sampler = half_vectors(BRDFS["anisotropic"]).towards(VIEWS[1])
+    sampler = _made("anisotropic").towards(VIEWS[1])
     drawn = jax.jit(jax.vmap(jax.vmap(lambda a, b: sampler.drawn(a, b))))
     largest = []
     for count in (400, 1600):
