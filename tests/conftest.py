@@ -3,8 +3,6 @@
 import gc
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from typing import Any
 
@@ -33,18 +31,9 @@ gc.set_threshold(50_000, 20, 100)
 
 def pytest_configure(config):
     """The quick suite's programs are compiled quickly, which they live for; slow tests run them as users do."""
-    if config.getoption("markexpr") == "not slow" and not _IS_WORKER:
-        flags = [os.environ.get("XLA_FLAGS", ""), "--xla_backend_optimization_level=0"]
-        # Half of what is left of compiling. XLA ends a process that gives it a flag which it does not know.
-        if _is_known(quick := "--xla_cpu_use_fusion_emitters=false"):
-            flags.append(quick)
-        os.environ["XLA_FLAGS"] = " ".join(flags)
-
-
-def _is_known(flag: str) -> bool:
-    """Whether a process with the flag can use JAX."""
-    command = [sys.executable, "-c", "import jax; jax.devices()"]
-    return subprocess.run(command, env=os.environ | {"XLA_FLAGS": flag}, capture_output=True).returncode == 0
+    if config.getoption("markexpr") == "not slow":
+        flags = os.environ.get("XLA_FLAGS", ""), "--xla_backend_optimization_level=0"
+        os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys(" ".join(flags).split()))
 
 
 def pytest_unconfigure():
