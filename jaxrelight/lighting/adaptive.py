@@ -30,7 +30,7 @@ from jaxrelight.lighting.prefiltered import Seen, SeenMaterial, SurfacePixels
 from jaxrelight.lighting.sampled import Sampled, sampled
 from jaxrelight.lights.pyramid import LightPyramid
 
-# Samples that predict a pixel: the paper's 16 lead to pictures that are no better, and 1,024 to 0.1 dB.
+# Samples that predict a pixel: pictures are no better by the paper's 16, and 0.1 dB better by 1,024.
 _PROBED = 8
 # How noise falls is tried out on so many pixels of each component, with few and with more samples, against many.
 _TRIED, _FEW, _MORE, _EXACT = 384, 32, 256, 512
