@@ -15,6 +15,11 @@ def bucket(count: int, least: int) -> int:
     return size
 
 
+def image_bucket(length: int) -> int:
+    """The next number of rows or columns of which images are worked on: a multiple of 32, above 256 one of few."""
+    return bucket(length, 256) if length > 256 else -(-length // 32) * 32
+
+
 def filled_up(rows: np.ndarray, length: int, fill: int = 0) -> np.ndarray:
     """An array in single precision, followed by rows of `fill` up to a length.
 

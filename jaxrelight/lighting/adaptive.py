@@ -6,6 +6,7 @@ multiplied by its textures in every pixel, so textures never ask for shading.
 """
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from scipy import ndimage
 
 from jaxrelight.brdf.texture import look_up
-from jaxrelight.buckets import filled_up
+from jaxrelight.buckets import filled_up, image_bucket
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.curvature import curvature
@@ -71,13 +72,22 @@ class AdaptiveShader:
             parts = tuple(tuple(made[id(one.brdf)] for one in material.components) for material in seen.materials)
         self.parts = parts
         self._pixel_angle = jnp.float32(np.sqrt(camera.solid_angles().max()))
-        self._material = np.full(seen.covered.size + 1, -1, np.int32)
-        for number, m in enumerate(seen.materials):
-            facing = np.asarray(m.pixels.omega_o[:, 2]) > 0
-            self._material[np.minimum(m.pixels.pixel, seen.covered.size)[facing]] = number
-        self._material = self._material[:-1].reshape(seen.covered.shape)
+        # Pictures of about the same size are worked on in one shape.
+        self._shape = tuple(map(image_bucket, seen.covered.shape))
+        self._size = math.prod(self._shape)
+        self._places = tuple(self._placed(m) for m in seen.materials)
+        material = np.full(self._size + 1, -1, np.int32)
+        for number, (m, place) in enumerate(zip(seen.materials, self._places, strict=True)):
+            material[np.asarray(place)[np.asarray(m.pixels.omega_o)[:, 2] > 0]] = number
+        self._material = material[:-1].reshape(self._shape)
         eye = np.asarray(camera.origin)
         self.probes = [self._probe(number, m, eye) for number, m in enumerate(seen.materials)]
+
+    def _placed(self, m: SeenMaterial) -> Int[Array, " p"]:
+        """A material's pixels, by number in an image that is filled up; padding has the number past its end."""
+        pixel, (rows, columns) = np.asarray(m.pixels.pixel), self.seen.covered.shape
+        row, column = np.divmod(pixel, columns)
+        return jax.device_put(np.where(row < rows, row * self._shape[1] + column, self._size).astype(np.int32))
 
     def _probe(self, number: int, m: SeenMaterial, eye) -> "_Probe":
         """Every fourth of the picture's pixels, and those that see another material than all of them around."""
@@ -85,15 +95,15 @@ class AdaptiveShader:
         every[:: 2 * self.factor, :: 2 * self.factor] = True
         mine = self._material == number
         near = np.asarray(ndimage.maximum_filter(mine & every, 2 * self.factor + 1, mode="constant"), bool)
-        pixel = np.asarray(m.pixels.pixel)
-        real = np.flatnonzero(pixel < mine.size)
-        asked = real[(mine & (every | ~near)).ravel()[pixel[real]]]
-        point = np.searchsorted(np.flatnonzero(self.seen.covered), pixel[asked])
+        place = np.asarray(self._places[number])
+        real = np.flatnonzero(place < self._size)
+        asked = real[(mine & (every | ~near)).ravel()[place[real]]]
+        point = np.searchsorted(np.flatnonzero(self.seen.covered), np.asarray(m.pixels.pixel)[asked])
         bend = curvature(self.seen.gbuffer, self.seen.shadows.radius, point)
         distance = np.linalg.norm(np.asarray(m.positions(self.seen.shadows))[asked] - eye, axis=1)
-        rows = jax.tree.map(lambda x: jnp.asarray(padded(np.asarray(x), asked)), m.pixels)
-        pixels = eqx.tree_at(lambda of: of.pixel, rows, jnp.asarray(padded(pixel, asked, mine.size)))
-        bend, distance = (jnp.asarray(filled_up(x, len(pixels.pixel))) for x in (bend, distance))
+        rows = jax.tree.map(lambda x: jax.device_put(padded(np.asarray(x), asked)), m.pixels)
+        pixels = eqx.tree_at(lambda of: of.pixel, rows, jax.device_put(padded(place, asked, self._size)))
+        bend, distance = (jax.device_put(filled_up(x, len(pixels.pixel))) for x in (bend, distance))
         return _Probe(pixels, bend, distance, m.start + asked)
 
     def predicted(
@@ -179,22 +189,21 @@ class AdaptiveShader:
             report: hears of progress, in samples.
         """
         heard = _Sum(report, plan.samples) if report else None
-        found = [jnp.zeros((len(m.pixels.pixel), 3)) for m in self.seen.materials]
+        found: list[Array | None] = [None] * len(self.seen.materials)
         for k, layer in enumerate(plan.layers):
-            numbers = [i for i, of in enumerate(self.parts) if k < len(of)]
-            image = jnp.zeros((self.seen.covered.size, 3))
+            numbers, rows = [i for i, of in enumerate(self.parts) if k < len(of)], []
             for number in numbers:
                 m, part = self.seen.materials[number], (parts or self.parts)[number][k]
-                counts = self._of(m, layer.counts)
+                counts = self._of(number, layer.counts)
                 blocked = self._blocked(m, plan.shadows)
                 radiance = estimate(part, light, m.pixels, counts, seed, filtered, blocked, heard)
-                image = image.at[m.pixels.pixel].add(radiance, mode="drop")
-            image = layer.between.filled(image.reshape(*self.seen.covered.shape, 3)).reshape(-1, 3)
+                rows.append((self._places[number], radiance))
+            image = layer.between.filled(_scattered(rows, self._shape))
             for number in numbers:
                 m = self.seen.materials[number]
-                weight = _weight(m.components[k].weight, m.pixels)
-                found[number] += weight * image.at[m.pixels.pixel].get(mode="fill", fill_value=0)
-        return self.seen.image(found) + self._sunlight(light, plan.shadows)
+                rows = _seen_of(image, self._places[number])
+                found[number] = _weighed(m.components[k].weight, m.pixels, rows, found[number])
+        return self._shown(found, light, plan.shadows)
 
     def uniform(
         self, light: LightPyramid, samples: int, seed: int = 0, *, filtered: bool = False, shadows: bool = False
@@ -203,16 +212,21 @@ class AdaptiveShader:
         found = []
         for m, parts in zip(self.seen.materials, self.parts, strict=True):
             counts = np.where(np.asarray(m.pixels.pixel) < self.seen.covered.size, samples, 0)
-            radiance = jnp.zeros((len(m.pixels.pixel), 3))
+            radiance = None
             for part, component in zip(parts, m.components, strict=True):
                 given = estimate(part, light, m.pixels, counts, seed, filtered, self._blocked(m, shadows))
-                radiance += given * _weight(component.weight, m.pixels)
+                radiance = _weighed(component.weight, m.pixels, given, radiance)
             found.append(radiance)
-        return self.seen.image(found) + self._sunlight(light, shadows)
+        return self._shown(found, light, shadows)
 
-    def _sunlight(self, light: LightPyramid, shadows: bool) -> Float[Array, "h w 3"]:
-        """A few directions, in every pixel: no sample would find them."""
-        return self.seen.lit_by([light.turned_sun()], shadows)
+    def _shown(self, found, light: LightPyramid, shadows: bool) -> Float[Array, "h w 3"]:
+        """The picture of what materials' pixels reflect, with sunlight.
+
+        That comes from a few directions, in every pixel: no sample would find them.
+        """
+        sun = light.turned_sun()
+        image = self.seen.image([of for of in found if of is not None])
+        return image + self.seen.lit_by([sun], shadows) if len(sun.directions) else image
 
     def _calibrated(self, light: LightPyramid, asked: Sequence[Asked], shadows: bool) -> tuple[list[Asked], float]:
         """What is asked, with deviations as they are found, and the power by which error² falls.
@@ -225,7 +239,9 @@ class AdaptiveShader:
             for number, (m, parts) in enumerate(zip(self.seen.materials, self.parts, strict=True)):
                 if one.number >= len(parts):
                     continue
-                deviation, visible = (self._of(m, np.asarray(of)).astype(float) for of in (one.deviation, one.visible))
+                deviation, visible = (
+                    self._of(number, np.asarray(of)).astype(float) for of in (one.deviation, one.visible)
+                )
                 real = np.flatnonzero(deviation > 0)
                 places = real[np.unique(np.linspace(0, len(real) - 1, 2 * _TRIED).astype(int))] if len(real) else real
                 counts = np.zeros(len(deviation), int)
@@ -252,7 +268,8 @@ class AdaptiveShader:
                     # Where trials found nothing, as in all materials together.
                     few, more = np.divide(*(sums if sums.min() > 0 else found))
                     scale[self._material == number] = (few * more) ** 0.25 * (_FEW * _MORE) ** (power / 4)
-            calibrated.append(one._replace(deviation=one.deviation * jnp.asarray(scale, one.deviation.dtype)))
+            deviation = np.asarray(one.deviation)
+            calibrated.append(one._replace(deviation=jax.device_put(deviation * scale.astype(deviation.dtype))))
         return calibrated, power
 
     def _blocked(self, m: SeenMaterial, shadows: bool) -> Blocked | None:
@@ -261,40 +278,22 @@ class AdaptiveShader:
             return None
         return lambda place, towards: self.seen.shadows.hidden(m.start + place, towards)
 
-    def _of(self, m: SeenMaterial, image: np.ndarray) -> np.ndarray:
+    def _of(self, number: int, image: np.ndarray) -> np.ndarray:
         """What a material's pixels have of an image; 0 for padding."""
-        pixel = np.asarray(m.pixels.pixel)
-        return np.where(pixel < image.size, image.ravel()[np.minimum(pixel, image.size - 1)], 0)
+        place = np.asarray(self._places[number])
+        return np.where(place < self._size, image.ravel()[np.minimum(place, self._size - 1)], 0)
 
     def _asked(self, k: int, predicted, white: float) -> Asked:
         """What the light of component k is predicted to depend on, the largest around each pixel."""
-        found = []
-        for m, probe, parts in zip(self.seen.materials, self.probes, predicted, strict=True):
-            if k >= len(parts):
-                continue
-            weights = [jnp.mean(_weight(one.weight, probe.pixels), axis=1) for one in m.components]
-            total = sum(w * one.radiance for w, one in zip(weights, parts, strict=True))
-            visible = weights[k] * display_slope(jnp.asarray(total) / white) / white
-            one = parts[k]
-            rows = (
-                one.angular,
-                one.spatial,
-                visible * one.contrast,
-                visible,
-                # Filtered look-ups take off the more the larger it is: of what is left, the root goes by it.
-                visible * (white**2 * one.variance) ** 0.25,
-                one.image,
-            )
-            found.append((probe.pixels.pixel, jnp.stack(rows, axis=1)))
-        image = _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
-        angular, spatial, contrast, visible, deviation, bandwidth = jnp.moveaxis(
-            largest_around(image, 2 * self.factor + 1), -1, 0
-        )
-        kind = np.full(self._material.shape, -1, np.int32)
-        for number, parts in enumerate(self.parts):
+        rows, kind = [], np.full(self._shape, -1, np.int32)
+        for number, (m, probe, parts) in enumerate(zip(self.seen.materials, self.probes, predicted, strict=True)):
             if k < len(parts):
-                kind = np.where(self._material == number, number, kind)
-        features = Features(jnp.asarray(kind), self._mirrored, angular, self._position, spatial, contrast)
+                weights = [one.weight for one in m.components]
+                rows.append((probe.pixels.pixel, _depends_on(weights, probe.pixels, parts, k, white)))
+                kind[self._material == number] = number
+        image = largest_around(_scattered(rows, self._shape), 2 * self.factor + 1)
+        angular, spatial, contrast, visible, deviation, bandwidth = image
+        features = Features(jax.device_put(kind), self._mirrored, angular, self._position, spatial, contrast)
         inside = self.factor.bit_length() - 1
         return Asked(k, hierarchy(features, inside), visible, deviation, bandwidth)
 
@@ -308,8 +307,7 @@ class AdaptiveShader:
         return self._image([m.positions(self.seen.shadows) for m in self.seen.materials])
 
     def _image(self, rows) -> Float[Array, "h w c"]:
-        found = [(m.pixels.pixel, of) for m, of in zip(self.seen.materials, rows, strict=True)]
-        return _scattered(found, self.seen.covered.size).reshape(*self.seen.covered.shape, -1)
+        return _scattered(list(zip(self._places, rows, strict=True)), self._shape)
 
 
 class _Sum:
@@ -342,13 +340,31 @@ def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
     return slope / jnp.maximum(value, 1) ** 2
 
 
-@functools.partial(jax.jit, static_argnames="size")
-def _scattered(rows, size: int):
-    """The flat image of what pixels have; 0 elsewhere."""
-    found = jnp.zeros((size, rows[0][1].shape[1]), rows[0][1].dtype)
-    for pixel, row in rows:
-        found = found.at[pixel].set(row, mode="drop")
-    return found
+@functools.partial(jax.jit, static_argnames="shape")
+def _scattered(rows, shape: tuple[int, int]):
+    """The image of what pixels have, whose numbers come with it; 0 elsewhere."""
+    found = jnp.zeros((math.prod(shape), rows[0][1].shape[1]), rows[0][1].dtype)
+    for place, row in rows:
+        found = found.at[place].set(row, mode="drop")
+    return found.reshape(*shape, -1)
+
+
+@jax.jit
+def _seen_of(image, place):
+    """What pixels have of an image; 0 for padding."""
+    return image.reshape(-1, image.shape[-1]).at[place].get(mode="fill", fill_value=0)
+
+
+@functools.partial(jax.jit, static_argnames="k")
+def _depends_on(weights, pixels: SurfacePixels, predicted: tuple[Prediction, ...], k: int, white):
+    """Of each pixel what `Features` and `Asked` tell of component k, by what is predicted of all of them."""
+    shares = [jnp.mean(_looked_up(weight, pixels), axis=1) for weight in weights]
+    total = sum(share * one.radiance for share, one in zip(shares, predicted, strict=True))
+    visible = shares[k] * display_slope(total / white) / white
+    one = predicted[k]
+    # Filtered look-ups take off the more the larger it is: of what is left, the root goes by it.
+    deviation = visible * (white**2 * one.variance) ** 0.25
+    return jnp.stack([one.angular, one.spatial, visible * one.contrast, visible, deviation, one.image], axis=1)
 
 
 @jax.jit
@@ -358,14 +374,20 @@ def _mirrored(pixels):
     return z - x - y
 
 
-@eqx.filter_jit
-def _weight(weight, pixels):
+@jax.jit
+def _weighed(weight, pixels: SurfacePixels, radiance, others):
+    """Radiance of pixels by a component's weight, added to that of other components, or None."""
+    found = radiance * _looked_up(weight, pixels)
+    return found if others is None else others + found
+
+
+def _looked_up(weight, pixels: SurfacePixels):
     return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
 
 
 @functools.partial(jax.jit, static_argnames="window")
 def largest_around(image, window: int):
-    """The largest around each pixel."""
+    """The largest around each pixel, by channel, which then come first."""
     whole, reach, steps = window // 2, 0, []
     while reach < whole:
         # Of three pixels so far apart, each the largest around.
@@ -378,4 +400,4 @@ def largest_around(image, window: int):
             image = jax.lax.reduce_window(
                 image, -jnp.inf, jax.lax.max, three, (1, 1, 1), "VALID", window_dilation=apart
             )
-    return image
+    return tuple(jnp.moveaxis(image, -1, 0))

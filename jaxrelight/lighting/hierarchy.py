@@ -11,6 +11,7 @@ Nothing that is shaded is needed to know where to shade. All levels are one list
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -30,12 +31,22 @@ _MOST_NOISE = 1.2
 _LEAST = 1e-3
 # Tolerances of levels: this power of two smaller from one to the next coarser one.
 _SHARE = 1.0
-# Parents of a new pixel between two of a row, as (down, right) in steps of the finer lattice; and between four. New
-# pixels of a kind lie so many of those steps down and right of the coarser lattice's. The nearest parents come first,
-# two or four of them.
+# Lines and columns of a lattice's parents before its first pixel, and after its last one.
+_BEFORE, _AFTER = 1, 2
+# Three kinds of new pixels, between two of a row, two of a column, and four, lie so many steps of the finer lattice
+# down and right of the coarser one's pixels.
+_KINDS = ((0, 1), (1, 0), (1, 1))
+# Their parents, as (down, right) in those steps. The nearest come first, two or four of them.
 _ROW = ((0, -1), (0, 1), (-2, -1), (-2, 1), (2, -1), (2, 1), (0, -3), (0, 3))
 _FOUR = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 3), (1, 3), (-1, -3), (1, -3), (3, -1), (3, 1), (-3, -1), (-3, 1))
-_KINDS = (((0, 1), _ROW, 2), ((1, 0), tuple((x, y) for y, x in _ROW), 2), ((1, 1), _FOUR, 4))
+_COUNTS, _NEAREST = (len(_ROW), len(_ROW), len(_FOUR)), (2, 2, 4)
+# [parents, kinds, 2]; kinds of fewer have the first one again, which counts nothing.
+_PARENTS = np.stack([np.resize(of, (len(_FOUR), 2)) for of in (_ROW, np.flip(_ROW, 1), _FOUR)], axis=1)
+# Of the first new pixel of each kind, in a lattice made wider.
+_CORNERS = (_BEFORE + (_PARENTS + np.array(_KINDS)) // 2).astype(np.int32)
+# Numbers that are known of a parent: its mirror and position, its kind, and twice three rates around it.
+_KIND = 6
+_COARSE_TO_FINE = range(LEVELS - 1, -1, -1)
 
 
 class Features(NamedTuple):
@@ -65,14 +76,14 @@ class Hierarchy(eqx.Module):
         asked: pixels that show anything.
         error: that each of them is predicted to have by lying between its parents, were those exact; infinite where it
             must be shaded.
-        weights: of the parents of each kind of new pixels, from the coarsest level on.
+        weights: of the parents of new pixels, by kind; of all levels one after the other, from the coarsest on.
         shaded: which pixels are.
         left: the error of those that are not, with what their parents pass on to them.
     """
 
     asked: Bool[Array, "h w"]
     error: Float[Array, "h w"]
-    weights: tuple[Float[Array, "k y x"], ...]
+    weights: Float[Array, "p 3 n"]
     shaded: Bool[Array, "h w"]
     left: Float[Array, "h w"]
 
@@ -96,10 +107,9 @@ class Hierarchy(eqx.Module):
 
     def levels(self) -> Int[np.ndarray, "h w"]:
         """The level whose pixels are each one's parents, and 0 of shaded pixels."""
-        return np.where(np.asarray(self.shaded), 0, _levels(self.shaded.shape))
+        return np.where(np.asarray(self.shaded), 0, np.asarray(_levels(self.shaded.shape)))
 
 
-@functools.partial(jax.jit, static_argnames="inside")
 def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
     """The coarsest lattice must be shaded, and what has no parents like it; all others have an error.
 
@@ -112,31 +122,67 @@ def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
         inside: as many of the finest levels lie within pixels of the picture, which are means over them: only the
             nearest parents count there.
     """
+    error, weights = _errors(features, _parent_rows(features.kind.shape), inside)
+    asked = np.asarray(features.kind) >= 0
+    return Hierarchy(jnp.asarray(asked), error, weights, *_within(asked, error, weights, 0.0))
+
+
+@jax.jit
+def _errors(features: Features, parent_rows, inside):
+    """What lies between parents is off by, and their weights. New pixels of all levels are worked on together."""
     h, w = features.kind.shape
     # Planes: sums over an innermost axis of three are slow.
     mirror, position = (_whole(jnp.moveaxis(x, -1, 0)) for x in (features.mirror, features.position))
-    place, axes = jnp.concatenate([mirror, position]), _across(mirror)
     kinds = _whole(features.kind, -1)
+    same = jnp.concatenate([mirror, position, kinds[None].astype(mirror.dtype)])
     # Each level's on its own lattice.
     most = [_whole(jnp.stack([features.angular, features.spatial, features.contrast]))]
     for level in range(LEVELS):
         most.append(_lattice(_most_around(most[-1], _lattice(kinds, level)), 1))
-    error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, place.dtype)
-    weights = []
-    for level in range(LEVELS - 1, -1, -1):
-        reach = jnp.stack([_lattice(most[level], 1), most[level + 1]])
-        theirs = [_wider(x) for x in (_lattice(place, level + 1), reach)] + [_wider(_lattice(kinds, level + 1), -1)]
-        errors = [error]
-        for offset, parents, nearest in _KINDS:
-            parents = parents[:nearest] if level < inside else parents
-            mine, rates = (_lattice(x, level, offset) for x in (place, axes, kinds)), _lattice(most[level], 0, offset)
-            own = *mine, rates
-            found, wrong = _between(own, theirs, offset, parents)
-            errors.append(wrong)
-            weights.append(found)
-        error = _woven(errors)
-    found = features.kind >= 0, error[:h, :w], tuple(weights)
-    return Hierarchy(*found, *_within(*found, 0.0))
+    parents, own = [], []
+    for level in _COARSE_TO_FINE:
+        lattice = jnp.concatenate([_lattice(same, level + 1), _lattice(most[level], 1), most[level + 1]])
+        none = jnp.where(jnp.arange(len(lattice)) == _KIND, -1.0, 0)[:, None, None]
+        parents.append((_wider(lattice - none) + none).reshape(len(lattice), -1))
+        new = _new(jnp.concatenate([_lattice(same, level), most[level]]))
+        own.append(new.reshape(*new.shape[:2], -1))
+    # A row for each parent, so that all that is asked of it is read at once. Compiled apart: fused with what follows,
+    # every look-up would make them anew.
+    parents, own = jax.lax.optimization_barrier((jnp.concatenate(parents, axis=1).T, jnp.concatenate(own, axis=2)))
+    weights, errors = _between(own, parents, parent_rows, inside)
+    error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, mirror.dtype)
+    for level in _COARSE_TO_FINE:
+        error = _woven(error, _of_level(errors, level, (h, w)))
+    return error[:h, :w], weights
+
+
+def _new_shape(shape, level: int) -> tuple[int, int]:
+    """Rows and columns of a level's new pixels of a kind; the next coarser lattice has as many."""
+    h, w = (-(-n // 2**LEVELS) * 2 ** (LEVELS - 1 - level) for n in shape)
+    return h, w
+
+
+@functools.lru_cache(maxsize=4)
+def _parent_rows(shape) -> tuple[Array, Array, Array]:
+    """Of new pixels of a kind, of all levels: their lattice's first row of parents, rows of a line, and the level."""
+    found, start = [], 0
+    for level in _COARSE_TO_FINE:
+        h, w = _new_shape(shape, level)
+        line = w + _BEFORE + _AFTER
+        first = start + np.arange(h)[:, None] * line + np.arange(w)
+        found.append(np.stack([first.reshape(-1), np.full(h * w, line), np.full(h * w, level)]))
+        start += (h + _BEFORE + _AFTER) * line
+    # Kept, so they must not be a caller's tracers.
+    with jax.ensure_compile_time_eval():
+        first, line, level = (jax.device_put(of.astype(np.int32)) for of in np.concatenate(found, axis=1))
+        return first, line, level
+
+
+def _of_level(of_all, level: int, shape):
+    """A level's part of the numbers of new pixels of all levels, on its lattice."""
+    sizes = [math.prod(_new_shape(shape, one)) for one in _COARSE_TO_FINE if one >= level]
+    mine = jax.lax.slice_in_dim(of_all, sum(sizes[:-1]), sum(sizes), axis=-1)
+    return mine.reshape(*of_all.shape[:-1], *_new_shape(shape, level))
 
 
 def _across(mirror):
@@ -153,36 +199,49 @@ def _across(mirror):
 def _most_around(rates, kinds):
     """The largest of each pixel and its kind around: an edge asks for all pixels whose parents span it."""
     for axis in (-2, -1):
-        sides = []
-        for way in (-1, 1):
-            there = jnp.roll(kinds, way, axis) == kinds
-            sides.append(jnp.where(there, jnp.roll(rates, way, axis), 0))
-        rates = jnp.maximum(rates, jnp.maximum(*sides))
+        found, size = rates, rates.shape[axis]
+        for start in (0, 2):
+            # Outside is no kind.
+            there, theirs = (
+                jax.lax.slice_in_dim(_padded(x, 1, 1, fill, (axis,)), start, start + size, axis=x.ndim + axis)
+                for x, fill in ((kinds, -2), (rates, 0))
+            )
+            found = jnp.maximum(found, jnp.where(there == kinds, theirs, 0))
+        rates = found
     return rates
 
 
-def _between(own, theirs, offset, parents):
-    """Of new pixels of a kind, the weights of their parents, and the error of what lies between those."""
-    place, axes, kind, (angular, spatial, contrast) = own
+def _between(own, parents, parent_rows, inside):
+    """The weights of new pixels' parents, and the error of what lies between those.
+
+    Args:
+        own: what is known of the pixels, by kind.
+        parents: what is known of those that they ask for, a row of each.
+        parent_rows: see `_parent_rows`.
+        inside: as many of the finest levels ask for the nearest parents alone.
+    """
+    place, kind, (angular, spatial, contrast) = own[:_KIND], own[_KIND], own[_KIND + 1 :]
+    first, line, level = parent_rows
+    axes = _across(place[:3])
 
     def parent(given):
-        (y, x), image, far = given
-        other, reach, other_kind = (_moved(wider, y, x) for wider in theirs)
+        corner, image, far, near_enough = given
+        rows = first + corner[:, :1] * line + corner[:, 1:]
+        other = jnp.moveaxis(parents.at[rows].get(mode="promise_in_bounds"), -1, 0)
         # What lies between both is within reach of one of them.
-        other_rates = jnp.where(far, reach[1], reach[0])
-        turned, moved = other[:3] - place[:3], other[3:] - place[3:]
+        rates = jnp.where(far[:, None], other[_KIND + 4 :], other[_KIND + 1 : _KIND + 4])
+        turned, moved = other[:3] - place[:3], other[3:_KIND] - place[3:]
         x, y = (angular * _sum(turned * axis) for axis in (axes[:3], axes[3:]))
-        most_angular, most_spatial = (
-            jnp.maximum(*pair) for pair in ((angular, other_rates[0]), (spatial, other_rates[1]))
-        )
+        most_angular, most_spatial = (jnp.maximum(*pair) for pair in ((angular, rates[0]), (spatial, rates[1])))
         square = _sum(turned**2) * most_angular**2 + _sum(moved**2) * most_spatial**2
-        usable = (other_kind == kind) & (_sum(turned**2) < _MOST_TURNED**2)
-        near = jnp.where(usable, jnp.exp(-square / _REACH**2 - image), 0)
-        return near, x, y, square, other_rates[2]
+        usable = (other[_KIND] == kind) & (_sum(turned**2) < _MOST_TURNED**2)
+        usable &= near_enough[:, None] | (level >= inside)
+        near = jnp.where(usable, jnp.exp(-square / _REACH**2 - image[:, None]), 0)
+        return near, x, y, square, rates[2]
 
-    image = _IMAGE * np.sum(np.square(parents), axis=1)
-    far = np.max(np.abs(parents), axis=1) > 1
-    given = _corners(offset, parents), jnp.asarray(image, jnp.float32), jnp.asarray(far)
+    number = np.arange(len(_PARENTS))[:, None]
+    image = np.where(number < _COUNTS, _IMAGE * np.sum(_PARENTS**2, axis=2), np.inf).astype(np.float32)
+    given = _CORNERS, image, np.abs(_PARENTS).max(axis=2) > 1, number < _NEAREST
     near, x, y, square, brought = jax.lax.map(parent, given)
     total, weights, left = _linear(near, x, y)
     wrong = 2 * np.pi * left + 0.25 * (2 * np.pi) ** 2 * _sum(jnp.abs(weights) * square)
@@ -218,36 +277,40 @@ def _whole(image, fill=0):
     return jnp.pad(image, [(0, 0)] * (image.ndim - 2) + ends, constant_values=fill)
 
 
-def _lattice(image, level: int, kind=None):
-    """A level's pixels, or its new ones of a kind."""
-    step = 1 << level
-    if kind is None:
-        return image[..., ::step, ::step]
-    return image[..., kind[0] * step :: 2 * step, kind[1] * step :: 2 * step]
+def _lattice(image, level: int):
+    """A level's pixels."""
+    return image[..., :: 1 << level, :: 1 << level]
 
 
-def _woven(kinds):
+def _new(lattice):
+    """The three kinds of new pixels of a lattice."""
+    *more, h, w = lattice.shape
+    four = lattice.reshape(*more, h // 2, 2, w // 2, 2)
+    return jnp.stack([four[..., :, down, :, right] for down, right in _KINDS], axis=len(more))
+
+
+def _woven(coarse, new):
     """The next lattice: the coarser one, and between it the three kinds of new pixels."""
-    coarse, row, column, both = kinds
+    row, column, both = jnp.moveaxis(new, -3, 0)
     upper, lower = (jnp.stack(pair, axis=-1) for pair in ((coarse, row), (column, both)))
     *more, h, w = coarse.shape
     return jnp.stack([upper, lower], axis=-3).reshape(*more, 2 * h, 2 * w)
 
 
-def _wider(coarse, fill=0):
+def _wider(lattice):
     """A lattice with what lies around it, as far as parents do."""
-    return jnp.pad(coarse, [(0, 0)] * (coarse.ndim - 2) + [(1, 2), (1, 2)], constant_values=fill)
+    return _padded(lattice, _BEFORE, _AFTER, 0)
 
 
-def _corners(offset, parents) -> Int[np.ndarray, "k 2"]:
-    """Where the first pixel's parents lie in a lattice made wider."""
-    return 1 + (np.asarray(parents, np.int32) + np.asarray(offset, np.int32)) // 2
+def _padded(lattice, before: int, after: int, fill, axes=(-2, -1)):
+    ends = [(before, after) if axis - lattice.ndim in axes else (0, 0) for axis in range(lattice.ndim)]
+    return jnp.pad(lattice, ends, constant_values=fill)
 
 
 def _moved(wider, y, x):
     """Of each new pixel, what a parent has."""
-    start = (0,) * (wider.ndim - 2)
-    shape = (*wider.shape[:-2], wider.shape[-2] - 3, wider.shape[-1] - 3)
+    start, outside = (0,) * (wider.ndim - 2), _BEFORE + _AFTER
+    shape = (*wider.shape[:-2], wider.shape[-2] - outside, wider.shape[-1] - outside)
     return jax.lax.dynamic_slice(wider, (*start, y, x), shape)
 
 
@@ -255,22 +318,18 @@ def _moved(wider, y, x):
 def _within(asked, error, weights, tolerance):
     """Which pixels are shaded, and the errors of the others, coarse to fine."""
     # What a coarse pixel is off, all those between it and others are, too.
-    allowed = tolerance * jnp.exp2(-_SHARE * jnp.asarray(_levels(error.shape), error.dtype))
+    allowed = tolerance * jnp.exp2(-_SHARE * _levels(error.shape).astype(error.dtype))
     shaded = asked & (error > allowed)
     own = jnp.where(asked & ~shaded, error, 0)
-    sizes = tuple(jnp.abs(w) for w in weights)
-    left = _passed(shaded, sizes, own[..., None], jnp.add)[..., 0]
+    left = _passed(shaded, jnp.abs(weights), own[..., None], jnp.add)[..., 0]
     return shaded, jnp.where(asked, left, 0)
 
 
-def _levels(shape) -> Int[np.ndarray, "h w"]:
+def _levels(shape) -> Int[Array, "h w"]:
     """The level whose pixels are each one's parents; of the coarsest lattice, which has none, one more."""
-    found = np.full(shape, LEVELS + 1, np.int32)
-    for level in range(LEVELS, 0, -1):
-        step = 2 ** (level - 1)
-        for down, right in ((0, 1), (1, 0), (1, 1)):
-            found[down * step :: 2 * step, right * step :: 2 * step] = level
-    return found
+    # Of both coordinates, how many of the lowest binary digits are 0.
+    digits = jax.lax.broadcasted_iota(jnp.int32, shape, 0) | jax.lax.broadcasted_iota(jnp.int32, shape, 1)
+    return jnp.minimum(jax.lax.population_count(~digits & (digits - 1)), LEVELS) + 1
 
 
 @jax.jit
@@ -279,30 +338,30 @@ def _filled(shaded, weights, image):
 
 
 def _passed(shaded, weights, image, joined):
-    """Coarse to fine: shaded pixels keep their own, others join theirs with what their parents give them."""
+    """Coarse to fine: shaded pixels keep their own, others join theirs with what their parents give them.
+
+    Weights of all channels alike have no axis for them; others have it after that of parents.
+    """
     h, w = image.shape[:2]
     shaded, image = _whole(shaded), _whole(jnp.moveaxis(image, -1, 0))
-    found, weights = _lattice(image, LEVELS), iter(weights)
-    for level in range(LEVELS - 1, -1, -1):
-        coarse, new = _wider(found), [found]
-        for offset, parents, _ in _KINDS:
+    found = _lattice(image, LEVELS)
+    for level in _COARSE_TO_FINE:
+        coarse, own = _wider(found), _new(_lattice(image, level))
 
-            def added(total, given, coarse=coarse):
-                weight, (y, x) = given
-                return total + weight * _moved(coarse, y, x), None
+        def added(total, given, coarse=coarse):
+            weight, corners = given
+            return total + weight * jnp.stack([_moved(coarse, *corner) for corner in corners], axis=1), None
 
-            own, theirs = _lattice(image, level, offset), next(weights)
-            given = theirs, _corners(offset, parents[: len(theirs)])
-            between, _ = jax.lax.scan(added, jnp.zeros_like(own), given)
-            new.append(jnp.where(_lattice(shaded, level, offset), own, joined(own, between)))
-        found = _woven(new)
+        given = _of_level(weights, level, (h, w)), _CORNERS
+        between, _ = jax.lax.scan(added, jnp.zeros_like(own), given)
+        found = _woven(found, jnp.where(_new(_lattice(shaded, level)), own, joined(own, between)))
     return jnp.moveaxis(found[:, :h, :w], 0, -1)
 
 
 @jax.jit
 def _spread(shaded, weights, variance):
     """Noise of shaded parents is independent; that of parents which lie between the same pixels is alike."""
-    both = tuple(jnp.stack([w * w, jnp.abs(w)], axis=1) for w in weights)
+    both = jnp.stack([weights**2, jnp.abs(weights)], axis=1)
     own = jnp.where(shaded, variance, 0)
     image = jnp.stack([own, jnp.zeros_like(own)], axis=-1)
     found = _passed(shaded, both, image, lambda _, between: jnp.stack([jnp.zeros_like(between[0]), sum(between)]))

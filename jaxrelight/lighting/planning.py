@@ -28,6 +28,8 @@ _OF_PREDICTED = 0.07
 class Layer:
     """What is shaded of the components with the same number in their materials.
 
+    Images may have more rows and columns than the view, in which nothing is asked for.
+
     Attributes:
         between: where to shade, and what lies between.
         counts: samples of each pixel.
@@ -45,8 +47,7 @@ class Layer:
     @property
     def error(self) -> Float[Array, "h w"]:
         """That is predicted of each pixel, in displayed values."""
-        noise = self.deviation**2 * jnp.maximum(self.counts, 1.0) ** -self.power
-        return jnp.sqrt(self.between.spread(noise) + (_OF_PREDICTED * self.between.left) ** 2)
+        return _error(self.between, self.counts, self.deviation, self.power)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,13 +86,14 @@ class Plan:
         """
         if not self.layers:
             return {name: np.zeros(self.shape) for name in ("bandwidth", "level", "samples", "error")}
-        layers = self.layers
-        return {
+        layers, (rows, columns) = self.layers, self.shape
+        found = {
             "bandwidth": np.max([layer.bandwidth for layer in layers], axis=0),
             "level": np.min([layer.between.levels() for layer in layers], axis=0).astype(float),
             "samples": np.sum([layer.counts for layer in layers], axis=0).astype(float),
             "error": np.sqrt(np.sum([np.asarray(layer.error, float) ** 2 for layer in layers], axis=0)),
         }
+        return {name: image[:rows, :columns] for name, image in found.items()}
 
 
 class Asked(NamedTuple):
@@ -251,3 +253,9 @@ def _work(between, influence, deviation, power):
     wanted = (influence * deviation**2) ** (1 / (1 + power))
     error = _OF_PREDICTED**2 * jnp.sum(between.left**2)
     return wanted, error, jnp.sum(wanted), jnp.sum(between.shaded)
+
+
+@jax.jit
+def _error(between: Hierarchy, counts, deviation, power):
+    noise = deviation**2 * jnp.maximum(counts, 1.0) ** -power
+    return jnp.sqrt(between.spread(noise) + (_OF_PREDICTED * between.left) ** 2)
