@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 
@@ -89,7 +90,7 @@ class Grid:
 def sample(brdf: Brdf, grid: Grid = Grid()) -> BrdfSamples:
     """A BRDF at the pairs of a grid."""
     omega_i, omega_o = grid.directions()
-    values = _evaluate(brdf, jnp.asarray(omega_i, jnp.float32), jnp.asarray(omega_o, jnp.float32))
+    values = _evaluate(brdf, as_array(omega_i, jnp.float32), as_array(omega_o, jnp.float32))
     return BrdfSamples(omega_i, omega_o, np.asarray(values, float))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import COSINE
@@ -75,7 +76,7 @@ def _directions(parametrisation: Parametrisation, side: int, seed: int) -> Float
     azimuth = 2 * np.pi * (turn + np.arange(count) * 0.6180339887498949)
     radius = np.sqrt(square)
     xyz = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - square)], axis=-1)
-    return jnp.asarray(xyz, jax.dtypes.canonicalize_dtype(float))
+    return as_array(xyz, jax.dtypes.canonicalize_dtype(float))
 
 
 def _looked_up(parametrisation: Parametrisation, maps: Float[Array, "k r r"], omega: Float[Array, "n 3"]):

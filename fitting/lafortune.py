@@ -11,6 +11,7 @@ from fitting.brdf_samples import BrdfSamples, Grid, sample
 from fitting.residual_by_angle import Residual
 from fitting.solve import Options, Verdict, fit_lobes
 from fitting.weights import weights
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
@@ -79,7 +80,7 @@ def fit_lafortune(
     fits = fit_lobes(
         samples.omega_i,
         samples.omega_o,
-        jnp.asarray(np.broadcast_to(samples.values, (2, *samples.values.shape)), jnp.float32),
+        as_array(np.broadcast_to(samples.values, (2, *samples.values.shape)), jnp.float32),
         np.stack([weight_of, np.where(held, 0, weight_of)]),
         options=options,
     )

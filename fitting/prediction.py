@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from fitting.sbrdf import prepared
 from fitting.stack import Stack
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.geometry.frame import tangent_frame
@@ -18,10 +19,10 @@ def predicted(level: SbrdfLevel, stack: Stack) -> Float[np.ndarray, "n h w 3"]:
     lobes = jax.tree.map(lambda a: a[mask], level.lobes)
     # Texels as rows of one column each, so that they are not interpolated.
     alone = jax.tree.map(lambda a: a[:, None, None], lobes)
-    normals = jnp.asarray(level.normals[mask], jnp.float32)
+    normals = as_array(level.normals[mask], jnp.float32)
     images = np.zeros((*stack.usable.shape, 3), np.float32)
     for number, directions in enumerate(zip(stack.lights, stack.views, strict=True)):
-        light, view = (jnp.asarray(one, jnp.float32) for one in directions)
+        light, view = (as_array(one, jnp.float32) for one in directions)
         images[number, mask] = np.asarray(_radiance(alone, normals, light, view))
     return images
 
@@ -48,7 +49,7 @@ def lambert_only(stack: Stack, normals: Float[np.ndarray, "h w 3"]) -> SbrdfLeve
     """Albedos of least squared error, what any lobe must do better than."""
     mask = stack.mask
     values = stack.images[:, mask].swapaxes(0, 1), stack.usable[:, mask].T
-    directions = (jnp.asarray(a, jnp.float32) for a in (normals[mask], stack.lights, stack.views))
+    directions = (as_array(a, jnp.float32) for a in (normals[mask], stack.lights, stack.views))
     _, _, f, weight = prepared(*values, *directions)
     total = jnp.sum(weight, axis=1, keepdims=True)
     albedo = np.zeros((*mask.shape, 3), np.float32)
@@ -57,7 +58,7 @@ def lambert_only(stack: Stack, normals: Float[np.ndarray, "h w 3"]) -> SbrdfLeve
     axis = np.broadcast_to(np.array([1, 0], np.float32), (*mask.shape, 2))
     maps = albedo, none, none[..., 0], none, axis
     return SbrdfLevel(
-        SpatialLobes(*map(jnp.asarray, maps)),
+        SpatialLobes(*map(as_array, maps)),
         normals,
         np.zeros(mask.shape, int),
         np.full(mask.shape, np.nan, np.float32),

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.frame import tangent_frame
@@ -79,7 +80,7 @@ def in_plane(brdf: Brdf, incidence: float, outgoing: Float[np.ndarray, " o"]) ->
     light, eye = np.radians(incidence), np.radians(outgoing)
     omega_i = np.broadcast_to([-np.sin(light), 0, np.cos(light)], (len(eye), 3))
     omega_o = np.stack([np.sin(eye), 0 * eye, np.cos(eye)], axis=-1)
-    return np.asarray(_evaluate(brdf, jnp.asarray(omega_i, jnp.float32), jnp.asarray(omega_o, jnp.float32)))
+    return np.asarray(_evaluate(brdf, as_array(omega_i, jnp.float32), as_array(omega_o, jnp.float32)))
 
 
 def curves(pyplot, brdfs: Mapping[str, Brdf], path: pathlib.Path):
@@ -106,7 +107,7 @@ def spheres(brdfs: Sequence[Brdf], size: int = _SIZE) -> Float[np.ndarray, "h w 
     x, y = np.meshgrid(*[(np.arange(size) + 0.5) * 2 / size - 1] * 2)
     seen = x * x + y * y < 1
     normals = np.stack([x, -y, np.sqrt(np.maximum(0, 1 - x * x - y * y))], axis=-1)[seen].astype(np.float32)
-    frames = np.asarray(tangent_frame(jnp.asarray(normals)))
+    frames = np.asarray(tangent_frame(as_array(normals)))
     omega_o = frames @ np.array([0, 0, 1], np.float32)
     omega_i = frames @ (_LIGHT / np.linalg.norm(_LIGHT)).astype(np.float32)
     lit = (omega_i[:, 2:] > 0) & (omega_o[:, 2:] > 0)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from fitting.brdf_samples import BrdfSamples
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 
 # Edges of the bins by angle.
@@ -20,7 +21,7 @@ class Residual:
     """
 
     def __init__(self, brdf: Brdf, samples: BrdfSamples, weight: Float[np.ndarray, " s"]):
-        values = _evaluate(brdf, jnp.asarray(samples.omega_i, jnp.float32), jnp.asarray(samples.omega_o, jnp.float32))
+        values = _evaluate(brdf, as_array(samples.omega_i, jnp.float32), as_array(samples.omega_o, jnp.float32))
         used = np.isfinite(samples.values).all(axis=-1) & (weight > 0)
         weight = np.where(used, weight, 0)
         known = np.where(used[:, None], samples.values, 0)

@@ -6,6 +6,7 @@ import tempfile
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong
@@ -36,7 +37,7 @@ def read_texture(picture: Picture, *, data: bool = False) -> Texture:
         raise InputError(f"{picture}: a texture needs pixels that are finite and not negative; repair the image")
     if data and picture.suffix.lower() in (".png", ".jpg", ".jpeg"):
         pixels = srgb_encode(pixels)
-    return Texture(jnp.asarray(pixels, jnp.float32)).minified()
+    return Texture(as_array(pixels, jnp.float32)).minified()
 
 
 def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]:
@@ -98,4 +99,4 @@ def from_file(described: FileMaterial | None) -> tuple[Brdf | Material, list[str
 
 def _tinted(image: Texture | None, colour: np.ndarray) -> Texture:
     """An image times a colour; the colour alone without one."""
-    return constant(colour) if image is None else Texture(image.pixels * jnp.asarray(colour, jnp.float32)).minified()
+    return constant(colour) if image is None else Texture(image.pixels * as_array(colour, jnp.float32)).minified()

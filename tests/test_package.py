@@ -17,7 +17,7 @@ ROOT = pathlib.Path(jaxrelight.__file__).parent
 # itself under the same name. `basis.latlong` resamples with a row-sparse operator, so the operators that know no basis
 # lie below it; the streamed operator bakes, so it lies above `transport.bake`.
 LAYERS = (
-    ("errors", "safe", "buckets", "threads", "compilation_cache", "array_file"),
+    ("errors", "arrays", "safe", "buckets", "threads", "compilation_cache", "array_file"),
     ("command_line", "npz", "toml_table", "whole_file"),
     ("images", "store", "operators", "transport.settings", "geometry.frame"),
     ("basis", "brdf", "geometry"),

@@ -6,11 +6,13 @@ details at [:m, m:2m], vertical at [m:2m, :m] and diagonal at [m:2m, m:2m].
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 
+@jax.jit
 def forward(faces: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
     """Haar coefficients of each face; n is a power of two. The transform is orthonormal, so energy is kept."""
     average, details = faces, []
@@ -25,6 +27,7 @@ def forward(faces: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
     return average
 
 
+@jax.jit
 def inverse(coefficients: Float[Array, "... n n"]) -> Float[Array, "... n n"]:
     """Faces from their Haar coefficients: the transpose of `forward`, which is its inverse."""
     n = coefficients.shape[-1]

@@ -32,6 +32,7 @@ def coordinates(direction: Float[np.ndarray, "... 3"]) -> tuple[np.ndarray, np.n
     return 0.5 - np.arctan2(x, z) / (2 * np.pi), np.arctan2(np.hypot(x, z), y) / np.pi
 
 
+@jax.jit
 def finite_coordinates(direction: Float[Array, "... 3"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """`coordinates` in JAX, with finite gradients, also at the poles."""
     x, y, z = direction[..., 0], direction[..., 1], direction[..., 2]
@@ -47,6 +48,7 @@ def solid_angles(height: int, width: int) -> Float[np.ndarray, " h"]:
     return (edge[:-1] - edge[1:]) * (2 * np.pi / width)
 
 
+@jax.jit
 def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Array, "h w c"]:
     """The map turned about +y, counter-clockwise seen from +y.
 
@@ -78,12 +80,16 @@ def resized(
     by_row = _means(*(-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)))
     by_column = _means(*(np.linspace(0, 1, count + 1) for count in (width, old_width)))
     if isinstance(pixels, jax.Array):
-        matrices = (jnp.asarray(side.toarray(), pixels.dtype) for side in (by_row, by_column))
-        return jnp.einsum("ih,hwc,jw->ijc", next(matrices), pixels, next(matrices), precision="highest")
+        return _by_matrices(pixels, *(side.toarray().astype(pixels.dtype) for side in (by_row, by_column)))
     found = by_row.astype(pixels.dtype) @ pixels.reshape(old_height, -1)
     found = found.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
     found = by_column.astype(pixels.dtype) @ found
     return np.ascontiguousarray(found.reshape(width, height, channels).swapaxes(0, 1))
+
+
+@jax.jit
+def _by_matrices(pixels, by_row, by_column):
+    return jnp.einsum("ih,hwc,jw->ijc", by_row, pixels, by_column, precision="highest")
 
 
 def _means(new: Float[np.ndarray, " n"], old: Float[np.ndarray, " o"]) -> sparse.csr_array:
@@ -112,6 +118,7 @@ def from_cube(faces: Float[np.ndarray, "6 n n c"]) -> Float[np.ndarray, "h w c"]
     return means.astype(faces.dtype)
 
 
+@jax.jit
 def look_up(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... c"]:
     """Radiance of the constant cell at image coordinates (u, v)."""
     height, width = pixels.shape[:2]
@@ -134,6 +141,7 @@ class AreaResampling(eqx.Module):
     groups: tuple[SparseRows, ...]
     order: Int[Array, " d"]
 
+    @jax.jit
     def apply(self, pixels: Float[Array, "h w c"]) -> Float[Array, "d c"]:
         """Mean radiance of every texel, in the order of `cubemap.directions`."""
         flat = pixels.reshape(-1, pixels.shape[-1])

@@ -6,6 +6,7 @@ The surface's own distribution of microfacet normals says where reflectance was 
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -47,6 +48,7 @@ class Adaptive(Brdf):
     down: Float[Array, "s y"]
     samples: Float[Array, "s c v u"]
 
+    @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
         """f(ω_i, ω_o) of every channel."""
         isotropic = len(self.phi) <= 2

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.sampling import directional_albedo
@@ -16,7 +17,7 @@ _DEGREES = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
 def largest_albedo(material: Material) -> float:
     """Directional albedo, the largest over channels and directions to the eye; textures count by their means."""
     angles = np.radians(_DEGREES)
-    omega_o = jnp.asarray(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1), jnp.float32)
+    omega_o = as_array(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1), jnp.float32)
     total = np.zeros((1, 1))
     for component in material.components:
         brdf = component.brdf
@@ -40,5 +41,5 @@ def mean_albedo(brdf: Brdf | SpatialLobes) -> np.ndarray:
     sine, cosine = np.sqrt((1 + square) / 2), np.sqrt((1 - square) / 2)
     turns = np.radians([10.0, 100.0])
     omega = [[s * np.cos(t), s * np.sin(t), c] for t in turns for s, c in zip(sine, cosine, strict=True)]
-    found = np.asarray(_albedos(brdf, jnp.asarray(omega, jnp.float32)))
+    found = np.asarray(_albedos(brdf, as_array(omega, jnp.float32)))
     return np.tile(weight / 2, len(turns)) @ found / len(turns)

@@ -1,5 +1,7 @@
 """Factors as a differentiable function of the BRDF: one step of alternating least squares."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +12,7 @@ from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import COSINE
 
 
+@functools.partial(jax.jit, static_argnames="cosine")
 def refactored(brdf: Brdf, start: Factored, cosine: tuple[float, float] = COSINE) -> Factored:
     """The light maps that are best for the view maps of `start`, and the view maps that are best for those.
 

@@ -2,11 +2,13 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight import safe
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 
@@ -31,6 +33,7 @@ class AshikhminShirley(Brdf):
     nu: Float[Array, ""]
     nv: Float[Array, ""]
 
+    @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
         """f(ω_i, ω_o) of every channel."""
         total = omega_i + omega_o
@@ -71,8 +74,8 @@ def ashikhmin_shirley(kd, ks, nu, nv, dtype=jnp.float32) -> AshikhminShirley:
         if not (np.ndim(value) == 0 and 0 <= value < np.inf):
             raise InputError(f"'{name}' must be one finite number of at least 0")
     channels = max(3, kd.size, ks.size)
-    kd, ks = (jnp.asarray(np.broadcast_to(value, (channels,)), dtype) for value in (kd, ks))
-    return AshikhminShirley(kd, ks, jnp.asarray(nu, dtype), jnp.asarray(nv, dtype))
+    kd, ks = (as_array(np.broadcast_to(value, (channels,)), dtype) for value in (kd, ks))
+    return AshikhminShirley(kd, ks, as_array(nu, dtype), as_array(nv, dtype))
 
 
 def _fifth(x):

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.errors import InputError
 
@@ -92,7 +93,7 @@ def decode(planes: Planes, lobes: int) -> SpatialLobes:
     else:
         diffuse = _gathered(planes, "diffuse.", "RGB")
         axis = np.stack([planes["axis.cos2"], planes["axis.sin2"]], axis=-1)
-    return SpatialLobes(*(jnp.asarray(a, jnp.float32) for a in (diffuse, C, exponent, scale, axis)))
+    return SpatialLobes(*(as_array(a, jnp.float32) for a in (diffuse, C, exponent, scale, axis)))
 
 
 def _decoded(planes: Planes, prefix: str):

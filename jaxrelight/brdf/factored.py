@@ -1,5 +1,6 @@
 """Separable factors as reflections: maps of either side, looked up bilinearly (Wang 2006 §3.3.2)."""
 
+import jax
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.parametrisation import DISC, Parametrisation, look_up
@@ -31,10 +32,12 @@ class Factored(Reflection):
         """Whether there is but one texel to a map."""
         return self.light_maps.shape[-1] == self.view_maps.shape[-1] == 1
 
+    @jax.jit
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
         """g_k(ω_i)."""
         return look_up(self.parametrisation, self.light_maps, omega_i)
 
+    @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """h_k(ω_o)."""
         return look_up(self.parametrisation, self.view_maps, omega_o)
@@ -62,10 +65,12 @@ class Symmetric(Reflection):
         """k, the number of maps."""
         return self.maps.shape[0]
 
+    @jax.jit
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k c"]:
         """q_k(ω_i)."""
         return look_up(self.parametrisation, self.maps, omega_i)
 
+    @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """sign_k · q_k(ω_o)."""
         return self.signs * look_up(self.parametrisation, self.maps, omega_o)

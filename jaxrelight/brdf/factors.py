@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.nonnegative import nonnegative_factors, nonnegative_rows
@@ -91,7 +92,7 @@ def factor(
     if form not in _FORMS:
         raise InputError(f"the form of factors is '{form}'; known are {', '.join(_FORMS)}")
     if brdf.is_constant:
-        up = jnp.asarray([0.0, 0.0, 1.0])
+        up = as_array([0.0, 0.0, 1.0])
         value = brdf.evaluate(up, up)[None, :, None, None]
         if form == "symmetric":
             return Symmetric(jnp.sqrt(jnp.abs(value)), jnp.sign(value[:, :, 0, 0]), parametrisation)
@@ -157,12 +158,12 @@ class Samples:
     def _blocks(self, omega, other, channel, swapped=False) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Values [rows, other] of a few rows at a time, and which channels are alike in them."""
         size = max(1, min(len(omega), _BLOCK // len(other)))
-        other, channel = jnp.asarray(other, self.dtype), jnp.asarray(channel)
+        other, channel = as_array(other, self.dtype), as_array(channel)
         for start in range(0, len(omega), size):
             # The last block overlaps the one before it, so that all are of one shape.
             start = min(start, len(omega) - size)
             rows = slice(start, start + size)
-            block, same = _evaluate(self.brdf, jnp.asarray(omega[rows], self.dtype), other, channel, swapped)
+            block, same = _evaluate(self.brdf, as_array(omega[rows], self.dtype), other, channel, swapped)
             yield rows, np.asarray(block), np.asarray(same)
 
     def joined(self, inside: np.ndarray, rest: np.ndarray) -> np.ndarray:
@@ -174,7 +175,7 @@ class Samples:
     def maps(self, values: np.ndarray) -> Array:
         """Texels [k, c, t] as maps."""
         k, c, _ = values.shape
-        return jnp.asarray(values.reshape(k, c, self.side, self.side), self.dtype)
+        return as_array(values.reshape(k, c, self.side, self.side), self.dtype)
 
 
 @eqx.filter_jit
@@ -226,7 +227,7 @@ def _symmetric(samples: Samples, terms: int) -> Symmetric:
         return samples.joined(root * q / samples.light[:, None], rest), np.sign(value)
 
     maps, signs = _by_channel(samples, make)
-    return Symmetric(samples.maps(maps), jnp.asarray(signs, samples.dtype), samples.parametrisation)
+    return Symmetric(samples.maps(maps), as_array(signs, samples.dtype), samples.parametrisation)
 
 
 def _normalised(samples: Samples, terms: int) -> Factored:

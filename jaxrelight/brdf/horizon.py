@@ -7,6 +7,7 @@ with the same integral, mean direction and mean length is one, and is exact wher
 import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -31,6 +32,7 @@ class CutLobe(NamedTuple):
     exponent: Float[Array, "..."]
 
 
+@jax.jit
 def cut(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> CutLobe:
     """The lobe of a unit direction p and an exponent n in the local frame, cut at z = 0 and weighed by z.
 

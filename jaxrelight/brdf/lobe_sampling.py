@@ -32,23 +32,14 @@ class LobeSampler(eqx.Module):
     exponents: Float[Array, " m"]
 
     def __init__(self, brdf: LobeSum, omega_o: Float[Array, "3"]):
-        peaks, lengths = brdf.peak(omega_o)
-        shared = brdf.C.shape[1] == 1
-        scale = jnp.sum(brdf.scale, axis=1, keepdims=True) if shared else brdf.scale
-        held = scale * safe.power(lengths, brdf.exponent) * (2 * math.pi) / (brdf.exponent + 1)
-        shares = jnp.concatenate([jnp.sum(brdf.diffuse)[None], jnp.maximum(held, 0).ravel()])
-        total = jnp.sum(shares)
-        even = jnp.zeros_like(shares).at[0].set(1)
-        shares = jnp.where(total > 0, shares / jnp.where(total > 0, total, 1), even)
-        self.shares = (1 - _LEAST_COSINE_SHARE) * shares + _LEAST_COSINE_SHARE * even
-        up = jnp.asarray([[0, 0, 1]], peaks.dtype)
-        self.frames = tangent_frame(jnp.concatenate([up, peaks.reshape(-1, 3)]))
-        self.exponents = jnp.concatenate([jnp.ones(1, peaks.dtype), brdf.exponent.ravel()])
+        self.shares, self.frames, self.exponents = _mixture(brdf, omega_o)
 
+    @jax.jit
     def sample(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """One direction; it may lie below the surface."""
         return self.at(*jax.random.uniform(key, (2,), self.shares.dtype))
 
+    @jax.jit
     def at(self, u: Float[Array, ""], v: Float[Array, ""]) -> Float[Array, "3"]:
         """The direction that two numbers from 0 to 1 stand for: uniform ones, random or not, give its density.
 
@@ -71,11 +62,13 @@ class LobeSampler(eqx.Module):
         angle = 2 * math.pi * v
         return sine * (jnp.cos(angle) * frame[0] + jnp.sin(angle) * frame[1]) + cosine * frame[2]
 
+    @jax.jit
     def drawn(self, *numbers: Float[Array, ""]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
         """`at`, and its density."""
         omega_i = self.at(*numbers)
         return omega_i, self.pdf(omega_i)
 
+    @jax.jit
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle, over the whole sphere."""
         # Written out: as a sum over an axis, XLA 0.10 for CPUs fuses it with those of a BRDF and makes both wrong.
@@ -84,3 +77,21 @@ class LobeSampler(eqx.Module):
             cosine = frame[2, 0] * omega_i[0] + frame[2, 1] * omega_i[1] + frame[2, 2] * omega_i[2]
             density += share * (exponent + 1) / (2 * math.pi) * safe.power(cosine, exponent)
         return density
+
+
+@jax.jit
+def _mixture(brdf: LobeSum, omega_o: Float[Array, "3"]) -> tuple[Array, Array, Array]:
+    """Shares, frames and exponents."""
+    peaks, lengths = brdf.peak(omega_o)
+    shared = brdf.C.shape[1] == 1
+    scale = jnp.sum(brdf.scale, axis=1, keepdims=True) if shared else brdf.scale
+    held = scale * safe.power(lengths, brdf.exponent) * (2 * math.pi) / (brdf.exponent + 1)
+    shares = jnp.concatenate([jnp.sum(brdf.diffuse)[None], jnp.maximum(held, 0).ravel()])
+    total = jnp.sum(shares)
+    even = jnp.zeros_like(shares).at[0].set(1)
+    shares = jnp.where(total > 0, shares / jnp.where(total > 0, total, 1), even)
+    shares = (1 - _LEAST_COSINE_SHARE) * shares + _LEAST_COSINE_SHARE * even
+    up = jnp.asarray([[0, 0, 1]], peaks.dtype)
+    frames = tangent_frame(jnp.concatenate([up, peaks.reshape(-1, 3)]))
+    exponents = jnp.concatenate([jnp.ones(1, peaks.dtype), brdf.exponent.ravel()])
+    return shares, frames, exponents

@@ -2,11 +2,13 @@
 
 import math
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight import safe
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 
@@ -27,6 +29,7 @@ class LobeSum(Brdf):
     scale: Float[Array, "l c"]
     turn: Float[Array, ""] | None = None
 
+    @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
         """f(ω_i, ω_o) of every channel."""
         if self.is_constant:
@@ -34,11 +37,13 @@ class LobeSum(Brdf):
         powers = safe.power(self.cosines(omega_i, omega_o), self.exponent)
         return self.diffuse / math.pi + jnp.sum(self.scale * powers, axis=0)
 
+    @jax.jit
     def cosines(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, "l c1"]:
         """ω_oᵀ C_l ω_i, whose powers the lobes are."""
         x, y, z = self._in_axes(omega_i) * self._in_axes(omega_o)
         return self.C[..., 0] * x + self.C[..., 1] * y + self.C[..., 2] * z
 
+    @jax.jit
     def peak(self, omega_o: Float[Array, "3"]) -> tuple[Float[Array, "l c1 3"], Float[Array, "l c1"]]:
         """Where each lobe is largest, the unit vector along Cᵀω_o (McAllister 2002 eq. 4), and the length |Cᵀω_o|.
 
@@ -62,12 +67,14 @@ class LobeSum(Brdf):
         return self.C.shape[-3] == 0
 
     @property
+    @jax.jit
     def normal_albedo(self) -> Float[Array, " c"]:
         """The share of light along the normal that is reflected: diffuse + Σ_l 2π scale_l max(0, C_z)ⁿ / (n + 2)."""
         share = safe.power(self.C[..., 2], self.exponent) / (self.exponent + 2)
         return self.diffuse + 2 * math.pi * jnp.sum(self.scale * share, axis=0)
 
 
+@jax.jit
 def turned(vectors: Float[Array, "... 3"], angle: Float[Array, ""]) -> Float[Array, "... 3"]:
     """Vectors turned about z by an angle in radians, counter-clockwise seen from above."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
@@ -136,12 +143,12 @@ def lobe_sum(diffuse, lobes, dtype=jnp.float32, *, turn=None) -> LobeSum:
 
     def stack(parts, *shape):
         spread = [np.broadcast_to(part, shape) for part in parts]
-        return jnp.asarray(np.stack(spread) if spread else np.zeros((0, *shape)), dtype)
+        return as_array(np.stack(spread) if spread else np.zeros((0, *shape)), dtype)
 
     return LobeSum(
-        diffuse=jnp.asarray(np.broadcast_to(diffuse, (channels,)), dtype),
+        diffuse=as_array(np.broadcast_to(diffuse, (channels,)), dtype),
         C=stack([C for C, _, _ in lobes], width, 3),
         exponent=stack([n for _, n, _ in lobes], width),
         scale=stack([scale for _, _, scale in lobes], channels),
-        turn=None if turn is None else jnp.asarray(turn, dtype),
+        turn=None if turn is None else as_array(turn, dtype),
     )

@@ -2,10 +2,10 @@
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -59,14 +59,14 @@ def as_material(surface: Brdf | Material) -> Material:
 
 def white_lambert() -> LobeSum:
     """Albedo 1 in a single channel: what a texture of albedos multiplies."""
-    return LobeSum(jnp.ones(1), jnp.zeros((0, 1, 3)), jnp.zeros((0, 1)), jnp.zeros((0, 1)))
+    return LobeSum(*(as_array(x, np.float32) for x in (np.ones(1), *map(np.zeros, ((0, 1, 3), (0, 1), (0, 1))))))
 
 
 def white_phong(exponent) -> LobeSum:
     """(n + 2)/(2π)·max(0, cos α)ⁿ, as `phong` of specular 1: in a single channel where the exponent is one number."""
-    n = jnp.atleast_1d(jnp.asarray(exponent, jnp.float32))
-    C = jnp.broadcast_to(jnp.asarray([-1.0, -1.0, 1.0]), (1, len(n), 3))
-    return LobeSum(jnp.zeros(len(n)), C, n[None], ((n + 2) / (2 * jnp.pi))[None])
+    n = np.atleast_1d(np.asarray(exponent, float))
+    arrays = np.zeros(len(n)), np.tile([-1.0, -1.0, 1.0], (1, len(n), 1)), n[None], ((n + 2) / (2 * np.pi))[None]
+    return LobeSum(*(as_array(x, np.float32) for x in arrays))
 
 
 def in_grey(material: Material, diffuse: bool = False) -> Material:
@@ -89,8 +89,8 @@ def in_grey(material: Material, diffuse: bool = False) -> Material:
         if np.any(np.asarray(brdf.diffuse)):
             parts.append(Component(white_lambert(), (constant(brdf.diffuse, brdf.diffuse.dtype), *component.weight)))
         strongest = int(np.argmax(np.abs(tint)))
-        scale = brdf.scale[:, strongest, None] / tint[strongest]
-        grey = LobeSum(jnp.zeros(1, brdf.scale.dtype), brdf.C, brdf.exponent, scale, brdf.turn)
+        scale, dtype = np.asarray(brdf.scale)[:, strongest, None] / tint[strongest], brdf.scale.dtype
+        grey = LobeSum(as_array(np.zeros(1), dtype), brdf.C, brdf.exponent, as_array(scale, dtype), brdf.turn)
         parts.append(Component(grey, (constant(tint, brdf.scale.dtype), *component.weight)))
     return dataclasses.replace(material, components=tuple(parts))
 

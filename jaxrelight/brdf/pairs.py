@@ -4,6 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrelight.arrays import as_array
+
 
 def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
     """Pairs of directions above the surface, the same ones every time.
@@ -25,4 +27,4 @@ def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
     tangent = np.cos(around)[:, None] * first + np.sin(around)[:, None] * second
     omega_i = np.cos(away)[:, None] * mirror + np.sin(away)[:, None] * tangent
     omega_i[:, 2] = np.abs(omega_i[:, 2])
-    return jnp.asarray(omega_i, jnp.float32), jnp.asarray(omega_o, jnp.float32)
+    return as_array(omega_i, jnp.float32), as_array(omega_o, jnp.float32)

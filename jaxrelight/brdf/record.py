@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
@@ -40,7 +41,7 @@ def from_record(record: dict, kept: Callable[[str], np.ndarray], dtype=jnp.float
     def array(entry: dict) -> np.ndarray:
         return kept(entry["layer"]) if "layer" in entry else np.reshape(entry["values"], entry["shape"])
 
-    arrays: dict[str, Any] = {name: jnp.asarray(array(entry), dtype) for name, entry in record["arrays"].items()}
+    arrays: dict[str, Any] = {name: as_array(array(entry), dtype) for name, entry in record["arrays"].items()}
     if "coarser" in record:
         arrays["coarser"] = tuple(from_record(level, kept, dtype) for level in record["coarser"])
     return _KINDS[record["kind"]](**arrays)

@@ -76,11 +76,13 @@ class FixedView(Reflection):
         """Those of the BRDF."""
         return self._whole.channels
 
+    @jax.jit
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "1 c"]:
         """f(ω_i, ω_o) itself; 0 where the eye is below the surface."""
         value = self._whole.evaluate(omega_i, self.omega_o)
         return jnp.where(self.omega_o[2] > 0, value, 0)[None]
 
+    @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:
         """One: the view is in the transport already."""
         return jnp.ones((1, 1), self.omega_o.dtype)

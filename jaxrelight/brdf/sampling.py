@@ -4,6 +4,7 @@ The grid divides the disc of projected directions into rings × sectors of equal
 integral with the cosine in it.
 """
 
+import functools
 import math
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from jaxrelight.brdf.contract import Brdf
 _SPREAD = 0.1
 
 
+@functools.partial(jax.jit, static_argnames=("rings", "sectors"))
 def directional_albedo(
     brdf: Brdf, omega_o: Float[Array, "3"], rings: int = 64, sectors: int = 128
 ) -> Float[Array, " c"]:
@@ -24,7 +26,7 @@ def directional_albedo(
 
     Highlights narrower than a cell, π/rings across at the normal, are missed or counted too high: ask for more.
     """
-    return math.pi * jnp.mean(_over_cells(brdf.evaluate, omega_o, rings, sectors), axis=0)
+    return math.pi * jnp.mean(_over_cells(brdf, omega_o, rings, sectors), axis=0)
 
 
 class CellSampler(eqx.Module):
@@ -39,12 +41,10 @@ class CellSampler(eqx.Module):
     sectors: int = eqx.field(static=True)
 
     def __init__(self, brdf: Brdf, omega_o: Float[Array, "3"], rings: int = 32, sectors: int = 64):
-        values = jnp.maximum(jnp.sum(_over_cells(brdf.evaluate, omega_o, rings, sectors), axis=-1), 0)
-        total, count = jnp.sum(values), rings * sectors
-        shares = jnp.where(total > 0, values / jnp.where(total > 0, total, 1), 1 / count)
         self.rings, self.sectors = rings, sectors
-        self.shares = (1 - _SPREAD) * shares + _SPREAD / count
+        self.shares = _shares(brdf, omega_o, rings, sectors)
 
+    @jax.jit
     def sample(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """One direction."""
         choice, place = jax.random.split(key)
@@ -52,6 +52,7 @@ class CellSampler(eqx.Module):
         u, v = jax.random.uniform(place, (2,), self.shares.dtype)
         return from_disc((cell // self.sectors + u) / self.rings, (cell % self.sectors + v) / self.sectors)
 
+    @jax.jit
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle; 0 below the surface."""
         square, azimuth = to_disc(omega_i)
@@ -72,13 +73,22 @@ def to_disc(omega: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""
     return omega[0] ** 2 + omega[1] ** 2, jnp.mod(jnp.arctan2(omega[1], omega[0]) / (2 * math.pi), 1)
 
 
-def _over_cells(evaluate, omega_o, rings: int, sectors: int) -> Float[Array, "d c"]:
+@functools.partial(jax.jit, static_argnames=("rings", "sectors"))
+def _shares(brdf: Brdf, omega_o, rings: int, sectors: int) -> Float[Array, " d"]:
+    """Of samples, in each cell."""
+    values = jnp.maximum(jnp.sum(_over_cells(brdf, omega_o, rings, sectors), axis=-1), 0)
+    total, count = jnp.sum(values), rings * sectors
+    shares = jnp.where(total > 0, values / jnp.where(total > 0, total, 1), 1 / count)
+    return (1 - _SPREAD) * shares + _SPREAD / count
+
+
+def _over_cells(brdf: Brdf, omega_o, rings: int, sectors: int) -> Float[Array, "d c"]:
     """F at the centres of the cells, ring by ring."""
     square = (jnp.arange(rings, dtype=omega_o.dtype) + 0.5) / rings
     azimuth = (jnp.arange(sectors, dtype=omega_o.dtype) + 0.5) / sectors
 
     def ring(square):
         centres = jax.vmap(from_disc, in_axes=(None, 0))(square, azimuth)
-        return jax.vmap(evaluate, in_axes=(0, None))(centres, omega_o)
+        return jax.vmap(brdf.evaluate, in_axes=(0, None))(centres, omega_o)
 
     return jax.lax.map(ring, square).reshape(rings * sectors, -1)

@@ -1,5 +1,6 @@
 """A BRDF that is given as separable factors, rather than approximated by them."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -21,6 +22,7 @@ class Separable(Brdf):
         """The same, as baking and viewing take it."""
         return Factored(self.light_maps, self.view_maps)
 
+    @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
         """f(ω_i, ω_o) of every channel."""
         return jnp.sum(self.factors.light_side(omega_i) * self.factors.view_side(omega_o), axis=0)

@@ -1,5 +1,6 @@
 """Spatial BRDFs: a Lafortune BRDF of its own in every texel of a map (McAllister 2002 §3)."""
 
+import functools
 from typing import Literal
 
 import equinox as eqx
@@ -58,6 +59,7 @@ class SpatialLobes(eqx.Module):
         """(rows, columns) of texels."""
         return self.diffuse.shape[0], self.diffuse.shape[1]
 
+    @functools.partial(jax.jit, static_argnames="minification")
     def packed(self, minification: Minification = "levels") -> "PackedLobes":
         """All parameters of a texel side by side, for many look-ups. Differentiable in the maps.
 
@@ -75,6 +77,7 @@ class SpatialLobes(eqx.Module):
             texture = Texture(finest)
         return PackedLobes(texture, self.lobes, self.channels)
 
+    @jax.jit
     def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates, see `PackedLobes.at`."""
         return self.packed().at(uv, footprint)
@@ -101,6 +104,7 @@ class PackedLobes(eqx.Module):
     lobes: int = eqx.field(static=True)
     channels: int = eqx.field(static=True)
 
+    @jax.jit
     def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
@@ -117,6 +121,7 @@ class PackedLobes(eqx.Module):
         flat = jax.vmap(self.texture.look_up)(uv.reshape(-1, 2), covered.reshape(-1))
         return self._lobes(flat.reshape(*uv.shape[:-1], -1))
 
+    @jax.jit
     def around(self, uv: Float[Array, "2"], footprint: Footprint = 0.0) -> tuple[LobeSum, Float[Array, " m"]]:
         """The BRDFs of the texels around texture coordinates, four of a level, and their weights.
 

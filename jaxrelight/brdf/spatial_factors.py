@@ -51,14 +51,17 @@ class SpatialFactors(Reflection):
         """One: colours are in the weights."""
         return 1
 
+    @jax.jit
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "k 1"]:
         """g_k(ω_i)."""
         return look_up(DISC, self.light_maps, omega_i)
 
+    @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """Of the mean of all texels."""
         return self.view_side_at(omega_o, jnp.full(2, 0.5, omega_o.dtype), jnp.inf)
 
+    @jax.jit
     def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Footprint) -> Array:
         """Σ_b w_b(u, v) h_bk(ω_o), [k, c]."""
         shapes = look_up(DISC, self.view_maps, omega_o)

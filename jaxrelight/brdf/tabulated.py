@@ -4,6 +4,7 @@ import functools
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,6 +30,7 @@ class HalfDifference(NamedTuple):
     phi_d: Float[Array, ""]
 
 
+@jax.jit
 def half_difference(omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> HalfDifference:
     """The angles; where one is undefined it is 0, with a zero gradient."""
     # Written out: over three components, XLA's sums take longer than all the rest.
@@ -72,6 +74,7 @@ class Tabulated(Brdf):
 
     values: Float[Array, "h d p c"]
 
+    @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
         """f(ω_i, ω_o) of every channel."""
         entries, weights = corners(half_difference(omega_i, omega_o), self.values.shape[:3])

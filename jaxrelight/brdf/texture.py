@@ -1,9 +1,12 @@
 """Numbers that vary over a surface: an image by texture coordinates, and coarser ones for surfaces far away."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+
+from jaxrelight.arrays import as_array
 
 # The area in texture coordinates that a pixel of the picture covers.
 Footprint = Float[Array, ""] | float
@@ -36,12 +39,9 @@ class Texture(eqx.Module):
 
     def minified(self) -> "Texture":
         """The same image with all coarser levels, each the means of 2×2 texels, as far as a single one."""
-        flat, level = [], jnp.asarray(self.pixels)
-        while level.shape[:2] != (1, 1):
-            level = _halved(level)
-            flat.append(level.reshape(-1, level.shape[-1]))
-        return Texture(self.pixels, jnp.concatenate(flat) if flat else None)
+        return self if self.is_constant else Texture(self.pixels, _coarser(self.pixels))
 
+    @jax.jit
     def look_up(self, uv: Float[Array, "2"], footprint: Footprint = 0.0) -> Float[Array, " c"]:
         """The image at (u, v): linear between texels, and between the two levels whose texels are nearest in size."""
         if self.is_constant:
@@ -50,6 +50,7 @@ class Texture(eqx.Module):
         (first, share), *others = self.around(uv, footprint)
         return sum((weight * texel for texel, weight in others), share * first)
 
+    @jax.jit
     def around(
         self, uv: Float[Array, "2"], footprint: Footprint = 0.0
     ) -> list[tuple[Float[Array, " c"], Float[Array, ""]]]:
@@ -111,6 +112,15 @@ def halved_shape(h: int, w: int) -> tuple[int, int]:
     return -(-h // 2), -(-w // 2)
 
 
+@jax.jit
+def _coarser(pixels: Float[Array, "h w c"]) -> Float[Array, "t c"]:
+    flat, level = [], pixels
+    while level.shape[:2] != (1, 1):
+        level = _halved(level)
+        flat.append(level.reshape(-1, level.shape[-1]))
+    return jnp.concatenate(flat)
+
+
 def _halved(level: Float[Array, "h w c"]) -> Float[Array, "r q c"]:
     """Means of 2×2 texels; of those that are there at an odd border."""
     h, w, c = level.shape
@@ -125,9 +135,10 @@ Weight = tuple[Texture, ...]
 
 def constant(values, dtype=jnp.float32) -> Texture:
     """The same numbers everywhere."""
-    return Texture(jnp.atleast_1d(jnp.asarray(values, dtype))[None, None])
+    return Texture(as_array(np.atleast_1d(values)[None, None], dtype))
 
 
+@jax.jit
 def look_up(weight: Weight, uv: Float[Array, "2"], footprint: Footprint = 0.0) -> Float[Array, " c"]:
     """The product of textures at (u, v)."""
     value = jnp.ones(1, uv.dtype)

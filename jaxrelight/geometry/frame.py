@@ -1,11 +1,13 @@
 """The tangent frame of a shading normal (Wang 2006 §3.3.2)."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrelight import safe
 
 
+@jax.jit
 def tangent_frame(
     normal: Float[Array, "... 3"], tangent: Float[Array, "... 3"] | None = None
 ) -> Float[Array, "... 3 3"]:
@@ -27,6 +29,7 @@ def tangent_frame(
     return jnp.stack([s, jnp.cross(normal, s), normal], axis=-2)
 
 
+@jax.jit
 def to_local(
     normal: Float[Array, "... 3"], tangent: Float[Array, "... 3"], direction: Float[Array, "... 3"]
 ) -> Float[Array, "... 3"]:

@@ -13,6 +13,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrelight.arrays import as_array
 from jaxrelight.lighting.prefiltered import SurfacePixels
 from jaxrelight.lighting.random_numbers import MOST, even_numbers, shifts
 from jaxrelight.lighting.sampled import Sampled
@@ -59,8 +60,8 @@ def estimate(
     end = -(-len(place) // _BATCH) * _BATCH - len(place)
     place, first = np.pad(place, (0, end), constant_values=len(runs)), np.pad(first, (0, end))
     dtype = jnp.result_type(light.radiance.values, pixels.omega_o)
-    number = jnp.asarray(runs * RUN, dtype)
-    total, waiting = jnp.zeros((len(runs), 3), dtype), []
+    number = as_array(runs * RUN, dtype)
+    total, waiting = as_array(np.zeros((len(runs), 3)), dtype), []
     for start in range(0, len(place), _BATCH):
         mine = place[start : start + _BATCH], first[start : start + _BATCH]
         if report:
@@ -78,7 +79,7 @@ def estimate(
                 total = _lit(total, blocked, *waiting.pop(0))
     for one in waiting:
         total = _lit(total, blocked, *one)
-    return total / jnp.maximum(number, 1)[:, None]
+    return _mean(total, number)
 
 
 def _lit(total, blocked, place, given, towards):
@@ -160,6 +161,11 @@ def _drawn(part, light, pixels, number, place, drawn, filtered):
 @jax.jit
 def _summed(total, given, visible, place):
     return total.at[place].add(jnp.sum(given * visible[..., None], axis=1), mode="drop")
+
+
+@jax.jit
+def _mean(total, number):
+    return total / jnp.maximum(number, 1)[:, None]
 
 
 @functools.partial(jax.jit, static_argnames="filtered")

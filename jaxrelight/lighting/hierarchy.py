@@ -103,7 +103,7 @@ class Hierarchy(eqx.Module):
 
     def influence(self) -> Float[Array, "h w"]:
         """The factor on each shaded pixel's variance in the sum of all pixels'."""
-        return _influence(self.shaded, self.weights, self.asked.astype(self.error.dtype))
+        return _influence(self.shaded, self.weights, self.asked)
 
     def levels(self) -> Int[np.ndarray, "h w"]:
         """The level whose pixels are each one's parents, and 0 of shaded pixels."""
@@ -123,8 +123,8 @@ def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
             nearest parents count there.
     """
     error, weights = _errors(features, _parent_rows(features.kind.shape), inside)
-    asked = np.asarray(features.kind) >= 0
-    return Hierarchy(jnp.asarray(asked), error, weights, *_within(asked, error, weights, 0.0))
+    asked = jax.device_put(np.asarray(features.kind) >= 0)
+    return Hierarchy(asked, error, weights, *_within(asked, error, weights, 0.0))
 
 
 @jax.jit
@@ -370,5 +370,6 @@ def _spread(shaded, weights, variance):
 
 @jax.jit
 def _influence(shaded, weights, asked):
-    _, back = jax.vjp(lambda variance: _spread(shaded, weights, variance), jnp.zeros_like(asked))
-    return back(asked)[0]
+    each = asked.astype(weights.dtype)
+    _, back = jax.vjp(lambda variance: _spread(shaded, weights, variance), jnp.zeros_like(each))
+    return back(each)[0]

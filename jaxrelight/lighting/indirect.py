@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import OFFSET
@@ -55,14 +56,14 @@ class IndirectRelighter:
         self._samples = samples
         self._final = Relighter(transport)
         surfaces, points = transport.surfaces, transport.cloud.points
-        places = jnp.asarray(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
+        places = as_array(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
         # Nothing lights the sky.
-        self._normals = jnp.asarray(np.where(points.of_sky[:, None], 0, points.normals), jnp.float32)
+        self._normals = as_array(np.where(points.of_sky[:, None], 0, points.normals), jnp.float32)
         lifted = points.positions + OFFSET * points.face_normals
         self.shadows = Shadows(transport.tracer, lifted, places, self._normals, surfaces.radius)
         self._sky_shares: dict[tuple[int, int], Array] = {}
         slot, albedo, emission = transport.cloud.slot_of, transport.cloud.albedo, transport.cloud.emission
-        self.albedo, self.emission, self._slot = jnp.asarray(albedo), jnp.asarray(emission), jnp.asarray(slot)
+        self.albedo, self.emission, self._slot = as_array(albedo), as_array(emission), as_array(slot)
 
     @functools.cached_property
     def view(self):
@@ -88,7 +89,7 @@ class IndirectRelighter:
         assert transport.seen is not None
         angle = 2 * np.tan(np.radians(camera.fov_y) / 2) / camera.height
         eye = transport.surfaces.to_scene(np.asarray(camera.origin))
-        return jnp.asarray(nearest_pixels(self.seen.gbuffer, transport.seen, eye, float(angle)))
+        return as_array(nearest_pixels(self.seen.gbuffer, transport.seen, eye, float(angle)))
 
     def cloud_light(
         self, lights: Sequence[Light], albedo: Float[Array, "g c"] | None = None, shadows: bool = True
@@ -114,7 +115,7 @@ class IndirectRelighter:
         height, width = pixels.shape[:2]
         if (height, width) not in self._sky_shares:
             towards = self.cloud.points.positions[sky] / FAR
-            self._sky_shares[height, width] = jnp.asarray(nearest_directions(towards, height, width))
+            self._sky_shares[height, width] = as_array(nearest_directions(towards, height, width))
         radiance = mean_radiance(pixels, rotate_y, scale, self._sky_shares[height, width], len(sky))
         return jnp.zeros_like(self._normals).at[sky].set(radiance)
 

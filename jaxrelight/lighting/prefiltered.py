@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight import safe
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.horizon import cut
@@ -138,7 +139,7 @@ class Seen:
                 turn = jnp.radians(rotate_y)
                 found += _under(component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
             parts.append(found)
-        return scale * self.image(parts)
+        return _scaled(self.image(parts), scale)
 
     def lit_by(
         self, lights: Sequence[Light], shadows: bool = True, texels: Texels = "parameters"
@@ -155,9 +156,8 @@ class Seen:
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
         """The environment in every pixel's direction."""
         u, v = latlong.coordinates(self.gbuffer.directions)
-        u, v = jnp.asarray(u + environment.rotate_y / 360, jnp.float32), jnp.asarray(v, jnp.float32)
-        found = latlong.look_up(jnp.asarray(environment.pixels), u, v)
-        return found * environment.scale
+        u, v = as_array(u + environment.rotate_y / 360, jnp.float32), as_array(v, jnp.float32)
+        return _scaled(latlong.look_up(environment.pixels, u, v), environment.scale)
 
     def image(self, parts: Sequence[Float[Array, "p 3"]]) -> Float[Array, "h w 3"]:
         """What the pixels of each material show."""
@@ -246,6 +246,11 @@ def seen_component(part: Component, minification: Minification = "levels") -> Se
     """A component as pixels ask for it."""
     brdf = part.brdf
     return SeenComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, part.weight)
+
+
+@jax.jit
+def _scaled(image, factor):
+    return image * factor
 
 
 @jax.jit

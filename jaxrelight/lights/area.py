@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -24,6 +25,7 @@ class Patch(Punctual):
     normal: Float[Array, "3"]
     intensity: Float[Array, "3"]
 
+    @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and the cosine of the angle from the normal."""
         found = from_point(self.position, self.intensity, positions)

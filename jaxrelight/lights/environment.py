@@ -3,6 +3,7 @@
 import dataclasses
 import pathlib
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -112,6 +113,7 @@ def coarsened(pixels: Float[np.ndarray, "h w 3"], resolution: int) -> Float[np.n
     return pixels if (height, width) == pixels.shape[:2] else latlong.resized(pixels, height, width)
 
 
+@jax.jit
 def encode(
     pixels: Float[Array, "h w c"],
     rotate_y: Float[Array, ""],

@@ -5,11 +5,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxrelight import safe
+from jaxrelight.arrays import as_array
 from jaxrelight.errors import InputError
 
 
@@ -58,6 +60,7 @@ class Point(Punctual):
     position: Float[Array, "3"]
     intensity: Float[Array, "3"]
 
+    @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance."""
         return from_point(self.position, self.intensity, positions)
@@ -75,6 +78,7 @@ class Spot(Punctual):
     cutoff: Float[Array, ""]
     beam: Float[Array, ""]
 
+    @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and towards the cone's edge."""
         found = from_point(self.position, self.intensity, positions)
@@ -95,6 +99,7 @@ class Directional(Punctual):
     direction: Float[Array, "3"]
     irradiance: Float[Array, "3"]
 
+    @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """The same everywhere."""
         towards = jnp.broadcast_to(-safe.normalize(self.direction), positions.shape)
@@ -124,7 +129,7 @@ def spot(position, target, intensity, cutoff: float, beam: float | None = None) 
     position, target = vector("position", position), vector("target", target)
     if (position == target).all():
         raise InputError("a spot's target is where it stands; give it another")
-    angles = (jnp.asarray(angle, jnp.float32) for angle in (cutoff, beam))
+    angles = (as_array(angle, jnp.float32) for angle in (cutoff, beam))
     return Spot(position, target, power("intensity", intensity), *angles)
 
 
@@ -164,7 +169,7 @@ def vector(name: str, values) -> Float[Array, "3"]:
     array = np.asarray(values, float)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{name} must be three finite numbers, not {values!r}")
-    return jnp.asarray(array, jnp.float32)
+    return as_array(array, jnp.float32)
 
 
 def power(name: str, values) -> Float[Array, "3"]:
@@ -172,4 +177,4 @@ def power(name: str, values) -> Float[Array, "3"]:
     array = np.asarray(values, float)
     if array.shape not in ((), (3,)) or not np.isfinite(array).all() or (array < 0).any():
         raise InputError(f"{name} must be one number or three, finite and not negative, not {values!r}")
-    return jnp.broadcast_to(jnp.asarray(array, jnp.float32), (3,))
+    return as_array(np.broadcast_to(array, (3,)), jnp.float32)

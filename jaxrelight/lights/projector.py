@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, vector
 
@@ -28,6 +29,7 @@ class Projector(Punctual):
     fov_y: Float[Array, ""]
     image: Float[Array, "h w 3"]
 
+    @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance; the image as large as it is far."""
         found = from_point(self.position, 1.0, positions)
@@ -62,7 +64,7 @@ def projector(position, target, image, fov_y: float, up=(0.0, 1.0, 0.0)) -> Proj
         raise InputError(f"a projector's fov_y must lie between 0 and 180 degrees, not {fov_y:g}")
     placed = vector("position", position), vector("target", target), vector("up", up)
     check_frame("a projector", *placed)
-    return Projector(*placed, jnp.asarray(fov_y, jnp.float32), jnp.asarray(pixels, jnp.float32))
+    return Projector(*placed, as_array(fov_y, jnp.float32), as_array(pixels, jnp.float32))
 
 
 def check_frame(what: str, position, target, up):

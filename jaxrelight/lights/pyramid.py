@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.basis.local_frequency import around_sphere, local_frequency
 from jaxrelight.lights.environment import Environment
@@ -86,10 +87,7 @@ class LightPyramid(eqx.Module):
 
     def turned_sun(self) -> Sky:
         """The sun's directions in the world."""
-        angle = 2 * np.pi * self.turn
-        cosine, sine = jnp.cos(angle), jnp.sin(angle)
-        x, y, z = self.sun.directions.T
-        return Sky(jnp.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=1), self.sun.irradiance)
+        return _turned(self.sun, self.turn)
 
     def radiance_at(self, omega: Float[Array, "3"], solid_angle: Float[Array, ""] | None = None) -> Float[Array, "3"]:
         """Mean radiance of about a solid angle around a direction; without one, of its texel."""
@@ -107,6 +105,13 @@ class LightPyramid(eqx.Module):
         u, v = latlong.finite_coordinates(omega)
         u = u + self.turn
         return u - jnp.floor(u), v
+
+
+@jax.jit
+def _turned(sun: Sky, turn) -> Sky:
+    cosine, sine = jnp.cos(2 * np.pi * turn), jnp.sin(2 * np.pi * turn)
+    x, y, z = sun.directions.T
+    return Sky(jnp.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=1), sun.irradiance)
 
 
 def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g v"]:
@@ -128,7 +133,7 @@ def light_pyramid(environment: Environment) -> LightPyramid:
     finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None] ** 2], axis=2)
     rows = min(len(bandwidth), _ROWS)
     detail = cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
-    return LightPyramid(cells(pixels), detail, sun, jnp.asarray(environment.rotate_y / 360, jnp.float32))
+    return LightPyramid(cells(pixels), detail, sun, as_array(environment.rotate_y / 360, jnp.float32))
 
 
 def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
@@ -143,7 +148,7 @@ def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
         levels += [level + k / _STEPS * towards for k in range(_STEPS)]
         level = coarser
     levels.append(level)
-    return Cells(jnp.asarray(numbers.concatenate([one.reshape(-1, level.shape[-1]) for one in levels])), rows, channels)
+    return Cells(as_array(numbers.concatenate([one.reshape(-1, level.shape[-1]) for one in levels])), rows, channels)
 
 
 def _between(coarse):

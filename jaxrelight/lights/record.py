@@ -4,9 +4,9 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.lights.area import Area
 from jaxrelight.lights.local import Directional, Light, Point, Spot
 from jaxrelight.lights.projector import Projector
@@ -45,9 +45,7 @@ def from_records(records: Sequence[dict], read: Callable[[str], np.ndarray]) -> 
     for number, record in enumerate(records):
         kind = _KINDS[record["type"]]
         values: dict[str, Any] = {
-            field.name: record[field.name]
-            if field.metadata.get("static")
-            else jnp.asarray(read(f"{number}.{field.name}"))
+            field.name: record[field.name] if field.metadata.get("static") else as_array(read(f"{number}.{field.name}"))
             for field in dataclasses.fields(kind)
         }
         found.append(kind(**values))

@@ -2,11 +2,13 @@
 
 import itertools
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight import safe
+from jaxrelight.arrays import as_array
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, power, vector
 from jaxrelight.lights.projector import check_frame
@@ -41,6 +43,7 @@ class Shaped(Punctual):
     falloff: Float[Array, ""]
     reference: Float[Array, ""]
 
+    @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Intensity / reference² · (reference / distance)^falloff, times the shares of shape and distance."""
         found = from_point(self.position, 1.0, positions)
@@ -115,4 +118,4 @@ def shaped(
     placed = vector("position", position), vector("target", target), vector("up", up)
     check_frame("a shaped light", *placed)
     numbers = (*shapes, roundness, near, far, falloff, reference)
-    return Shaped(*placed, power("intensity", intensity), *(jnp.asarray(value, jnp.float32) for value in numbers))
+    return Shaped(*placed, power("intensity", intensity), *(as_array(value, jnp.float32) for value in numbers))

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.morton import morton
@@ -47,7 +48,7 @@ def even_sky(radiance, samples: int = 64) -> Sky:
     ring = np.sqrt(1 - y * y)
     directions = np.stack([ring * np.cos(turn), y, ring * np.sin(turn)], axis=1)
     irradiance = jnp.broadcast_to(power("radiance", radiance) * (2 * np.pi / samples), (samples, 3))
-    return Sky(jnp.asarray(directions, jnp.float32), irradiance)
+    return Sky(as_array(directions, jnp.float32), irradiance)
 
 
 def sky_of(environment: Environment, samples: int = 256) -> Sky:
@@ -67,7 +68,7 @@ def sky_of(environment: Environment, samples: int = 256) -> Sky:
     light = (pixels * latlong.solid_angles(h, w)[:, None, None]).reshape(-1, 3)[order]
     sums = np.cumsum(light.sum(axis=1))
     if not sums[-1] > 0:
-        return Sky(jnp.asarray([[0.0, 1, 0]]), jnp.zeros((1, 3)))
+        return Sky(as_array([[0.0, 1, 0]]), jnp.zeros((1, 3)))
     share = np.minimum((sums / sums[-1] * samples).astype(int), samples - 1)
     directions = latlong.directions(u[order] - environment.rotate_y / 360, v[order])
     weight = light.sum(axis=1)
@@ -79,8 +80,8 @@ def sky_of(environment: Environment, samples: int = 256) -> Sky:
     length = np.linalg.norm(mean, axis=1)
     used = length > 0
     return Sky(
-        jnp.asarray((mean / np.where(used, length, 1)[:, None])[used], jnp.float32),
-        jnp.asarray(by_share(light)[used], jnp.float32),
+        as_array((mean / np.where(used, length, 1)[:, None])[used], jnp.float32),
+        as_array(by_share(light)[used], jnp.float32),
     )
 
 
@@ -106,7 +107,7 @@ def mean_radiance(
         count: n.
     """
     factor = nearest.shape[0] // pixels.shape[0]
-    turned = latlong.rotate(jnp.asarray(pixels), rotate_y)
+    turned = latlong.rotate(as_array(pixels), rotate_y)
     fine = jnp.repeat(jnp.repeat(turned, factor, axis=0), factor, axis=1)
     light = fine * latlong.solid_angles(*nearest.shape)[:, None, None]
     sums = jax.ops.segment_sum(light.reshape(-1, light.shape[-1]), nearest.reshape(-1), count)

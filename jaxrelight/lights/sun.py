@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.lights.environment import coarsened
 from jaxrelight.lights.sky import Sky
@@ -38,6 +39,7 @@ class Split(NamedTuple):
         return jnp.zeros_like(self.rest).at[self.texels].set(self.radiance)
 
 
+@jax.jit
 def split_sun(texels: Float[Array, "d c"]) -> Split:
     """Takes the sun off a light: rest + sun is the light. Pure; where there is no sun, nothing is taken.
 
@@ -78,7 +80,7 @@ def without_sun(pixels: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "
         cell = cubemap.texel_of(towards, n)
         whole = np.maximum(np.bincount(cell, area, 6 * n * n), 1e-30)
         mean = np.stack([np.bincount(cell, area * one, 6 * n * n) for one in flat.T], axis=1) / whole[:, None]
-        split = split_sun(jnp.asarray(mean, jnp.float32)) if len(mean) > MOST else None
+        split = split_sun(as_array(mean, jnp.float32)) if len(mean) > MOST else None
         if split is not None and bool(jnp.any(split.radiance > 0)):
             return _taken(pixels, split, n)
         n //= 2
@@ -114,7 +116,7 @@ def _directions(light, towards, area, cell, lit, shape: tuple[int, int]) -> Sky:
         irradiance = np.stack([energy[cell == one].sum(axis=0) for one in lit])
         mean = np.stack([(energy.sum(axis=1) @ np.where((cell == one)[:, None], towards, 0)) for one in lit])
         mean /= np.linalg.norm(mean, axis=1, keepdims=True)
-        return Sky(jnp.asarray(mean, jnp.float32), jnp.asarray(irradiance, jnp.float32))
+        return Sky(as_array(mean, jnp.float32), as_array(irradiance, jnp.float32))
     here = np.flatnonzero(light.any(axis=1))
     along = max(1, min(int(np.ceil(pixel / _APART)), int(np.sqrt(_MOST_DIRECTIONS / max(len(here), 1)))))
     u, v = latlong.coordinates(towards[here])
@@ -126,4 +128,4 @@ def _directions(light, towards, area, cell, lit, shape: tuple[int, int]) -> Sky:
     share /= share.sum(axis=1, keepdims=True)
     irradiance = (light[here] * area[here, None])[:, None] * share[..., None]
     found = latlong.directions(u, v).reshape(-1, 3)
-    return Sky(jnp.asarray(found, jnp.float32), jnp.asarray(irradiance.reshape(-1, 3), jnp.float32))
+    return Sky(as_array(found, jnp.float32), as_array(irradiance.reshape(-1, 3), jnp.float32))

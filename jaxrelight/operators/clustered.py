@@ -122,6 +122,7 @@ class Clustered(Operator):
                 found[group] = Cluster(supports[group], mine[used], weights[i][:, used])
         return found
 
+    @jax.jit
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: per group one gather of light and two small products."""
         channels = self._channels_of(light)
@@ -129,6 +130,7 @@ class Clustered(Operator):
         mixed = jnp.concatenate([*(_by_channel(part, light) for part in self.buckets), nothing])
         return mixed.at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
 
+    @jax.jit
     def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
         """Radiance of every row under each light: products of matrices, a few groups at a time, to stay in cache.
 
@@ -161,6 +163,7 @@ class Clustered(Operator):
             raise ValueError(f"light has {channels} channels, the operator {self.channels}")
         return channels
 
+    @jax.jit
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint: the two products the other way round; every column is a sum over its holders.
 
@@ -185,6 +188,7 @@ class Clustered(Operator):
         sums.append(jnp.zeros(1, held.dtype))
         return jnp.concatenate(sums).at[self.column_place].get(mode="promise_in_bounds")
 
+    @jax.jit
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows, zero off their group's coefficients. Looks into every bucket for every row."""
         indices = jnp.asarray(indices)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.arrays import as_array
 from jaxrelight.buckets import bucket
 from jaxrelight.operators.clustered import Cluster
 from jaxrelight.operators.quantised import Quantised, quantised
@@ -67,7 +68,7 @@ class ColumnBlocks:
             chosen = np.flatnonzero(added > culling * np.sqrt(np.mean(added**2)))
         few, group = self._by_group(chosen)
         column = np.append(self._support, 0)[few]
-        few, column, group = (jnp.asarray(numbers) for numbers in (few, column, group))
+        few, column, group = (as_array(numbers) for numbers in (few, column, group))
         return _added(self._tiles, light, few, column, group, self.shape), len(chosen)
 
     def _by_group(self, chosen: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, "b t"], Int[np.ndarray, " b"]]:

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 
@@ -54,7 +55,7 @@ class Operator(eqx.Module):
 
     def to_matrix(self) -> Float[Array, "r c d"]:
         """All rows, written out: for small operators and for tests."""
-        return self.rows(jnp.arange(self.shape[0]))
+        return self.rows(jax.device_put(np.arange(self.shape[0], dtype=np.int32)))
 
 
 def as_lineax(operator: Operator, dtype=jnp.float32) -> lx.FunctionLinearOperator:

@@ -1,5 +1,6 @@
 """The operator with every coefficient: the reference that the others are tested against."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -22,14 +23,17 @@ class Dense(Operator):
         """Bytes of the matrix."""
         return self.matrix.nbytes
 
+    @jax.jit
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row."""
         return jnp.einsum("rcd,dc->rc", self.matrix, light, precision="highest")
 
+    @jax.jit
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint."""
         return jnp.einsum("rcd,rc->dc", self.matrix, radiance, precision="highest")
 
+    @jax.jit
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows."""
         return self.matrix[indices]

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -58,6 +59,10 @@ def quantised(values: Float[Array | np.ndarray, "... n"], bits: int, run: int | 
     """
     if bits not in (8, 16):
         raise ValueError(f"codes have 8 or 16 bits, not {bits}")
+    return _quantised(values, bits, run) if isinstance(values, np.ndarray) else _compiled(values, bits, run)
+
+
+def _quantised(values, bits: int, run: int | None) -> Quantised:
     xp: Any = np if isinstance(values, np.ndarray) else jnp
     n, real = values.shape[-1], xp.finfo(values.dtype)
     length = n if run is None else min(run, n)
@@ -71,6 +76,9 @@ def quantised(values: Float[Array | np.ndarray, "... n"], bits: int, run: int | 
     usable = (by_code > 0) & xp.isfinite(by_code)
     codes = xp.rint(xp.where(usable, values, 0) / xp.where(usable, by_code, 1))
     return Quantised(codes.astype(f"int{bits}"), scale, length)
+
+
+_compiled = jax.jit(_quantised, static_argnames=("bits", "run"))
 
 
 def _by_code(xp, scale, run: int, n: int):

@@ -1,5 +1,7 @@
 """The row-sparse operator: a fixed number of coefficients in every row (Wang 2006 §4.1.1, §4.3)."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -51,6 +53,7 @@ class SparseRows(Operator):
         """Bytes of indices and values."""
         return self.indices.nbytes + sum(channel.nbytes for channel in self.values)
 
+    @jax.jit
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Radiance of every row: a gather of light and a short sum, block by block."""
         channels = range(light.shape[1])
@@ -67,6 +70,7 @@ class SparseRows(Operator):
         # blocks b, channels c, rows m of a block
         return jnp.moveaxis(products, 1, 2).reshape(-1, len(channels))[: self.row_count]
 
+    @jax.jit
     def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
         """Radiance of every row under each light: of each coefficient one gather for all, a few rows at a time."""
         n, _, c = lights.shape
@@ -100,6 +104,7 @@ class SparseRows(Operator):
         if len(self.values) not in (1, channels):
             raise ValueError(f"light has {channels} channels, the operator {len(self.values)}")
 
+    @jax.jit
     def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         """The adjoint, by scatter-add. Float32 sums here are serial: rounding grows with rows per coefficient."""
         b, m, _ = self.indices.shape
@@ -113,6 +118,7 @@ class SparseRows(Operator):
         ]
         return jnp.stack(sums, axis=-1)
 
+    @jax.jit
     def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         """The chosen rows, zero where nothing was kept."""
         kept, channels = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1])[indices], (self.indices, self.values))
@@ -137,20 +143,28 @@ def sparse_rows(
     At least `held` rows are held, those past r filled with zeros, so that operators of many sizes have few shapes.
     NumPy arrays are put into blocks by NumPy, so that nothing is compiled for their shapes.
     """
-    r, c, _ = values.shape
+    r = len(indices)
     held = max(held, r)
     b = -(-held // _BLOCK)
     m = -(-held // b)
     host = all(isinstance(array, np.ndarray) for array in jax.tree.leaves((indices, values)))
 
-    def blocks(rows) -> Array:
-        padding = (0, b * m - r), (0, 0)
-        shape = b, m, rows.shape[-1]
-        return jax.device_put(np.pad(rows, padding).reshape(shape)) if host else jnp.pad(rows, padding).reshape(shape)
+    if not host:
+        return SparseRows(*_in_blocks(indices, values, b, m, columns), r, columns)
+    return SparseRows(*jax.device_put(_blocks(np, indices, values, b, m, columns)), r, columns)
 
-    indices = indices.astype(smallest_index_type(columns))
-    channels = tuple(jax.tree.map(lambda rows, i=i: blocks(rows[:, i]), values) for i in range(c))
-    return SparseRows(blocks(indices), channels, r, columns)
+
+def _blocks(xp, indices, values, b: int, m: int, columns: int):
+    """Indices, and values of each channel, in b blocks of m rows."""
+
+    def block(rows):
+        return xp.pad(rows, ((0, b * m - len(rows)), (0, 0))).reshape(b, m, rows.shape[-1])
+
+    channels = tuple(jax.tree.map(lambda rows, i=i: block(rows[:, i]), values) for i in range(values.shape[1]))
+    return block(indices.astype(smallest_index_type(columns))), channels
+
+
+_in_blocks = jax.jit(functools.partial(_blocks, jnp), static_argnames=("b", "m", "columns"))
 
 
 def smallest_index_type(columns: int) -> np.dtype:

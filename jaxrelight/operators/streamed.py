@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis.cubemap import Texels
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.operators.contract import Operator
@@ -42,7 +43,7 @@ class Streamed(Operator):
 
     def _groups(self):
         for group in range(len(self.frames)):
-            bits = jnp.asarray(self.read_bits(group))
+            bits = as_array(self.read_bits(group))
             yield bits, self.frames[group], of_group(self.reflection, group), self.directions
 
     def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
@@ -64,7 +65,7 @@ class Streamed(Operator):
         out = []
         for index in np.asarray(indices):
             group = int(index) // per_group
-            bits, frames = jnp.asarray(self.read_bits(group)), self.frames[group]
+            bits, frames = as_array(self.read_bits(group)), self.frames[group]
             baked = bake.bake_rows(
                 bits, frames, of_group(self.reflection, group), self.directions, Texels(round((d / 6) ** 0.5))
             )

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap, truncation
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.operators.contract import Basis
@@ -50,7 +51,7 @@ def directions_for(resolution: int, samples: int = 1, dtype=jnp.float32) -> Dire
     """Directions for a 6×resolution² cube map and samples² rays a texel."""
     fine = resolution * samples
     vectors, angles = cubemap.directions(fine), cubemap.solid_angles(fine)
-    return Directions(jnp.asarray(np.array(vectors), dtype), jnp.asarray(np.array(angles), dtype), samples)
+    return Directions(as_array(np.array(vectors), dtype), as_array(np.array(angles), dtype), samples)
 
 
 def unpack(bits: UInt8[Array, "... bytes"], dtype) -> Float[Array, "... f"]:

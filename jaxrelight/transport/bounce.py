@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight import store
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import Reflection
@@ -126,7 +127,7 @@ class Gather:
         c = max(channels or self.channels_of(reflections))
         seen = np.zeros((m, len(self._directions.vectors)), bool)
         seen[hits.receiver, hits.texel] = True
-        bits = jnp.asarray(np.packbits(seen, axis=1, bitorder="little"))
+        bits = as_array(np.packbits(seen, axis=1, bitorder="little"))
         texels = cubemap.Texels(self.resolution)
         sides = [bake.bake_rows(bits, frames, one, self._directions, texels) for one in reflections]
         light_side = _side_by_side(sides)
@@ -383,7 +384,7 @@ def remaining(transport: Transport, before: Transport | None, albedo: float) -> 
 def _lit(transport: Transport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Radiance along the normals of all vertices: under an even white sky, and by the light that surfaces emit."""
     white = transport.basis.encode(jnp.ones(transport.operator.shape[1]))
-    along = jnp.asarray([[0.0, 0.0, 1.0]])
+    along = as_array([[0.0, 0.0, 1.0]])
     reflected, emitted = [], []
     for block, operator in transport.each:
         closing = np.asarray(_outgoing(block.reflection, block.weight, along, jnp.zeros((1, 2)), jnp.ones(1)))

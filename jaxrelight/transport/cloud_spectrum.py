@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis.haar import HaarFaces, levels
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import OFFSET, Tracer
@@ -43,7 +44,7 @@ def cloud_spectrum(cloud: GatherCloud, surfaces: Surfaces, tracer: Tracer, seed:
         light[lit[tracer.blocked(np.tile(place, (len(lit), 1)), away[lit], np.full(len(lit), 1 - 1e-4))]] = 0
         energy = np.sum(light**2)
         if energy > 0:
-            squares += np.asarray(basis.encode(jnp.asarray(light / np.sqrt(energy), jnp.float32)), float) ** 2
+            squares += np.asarray(basis.encode(as_array(light / np.sqrt(energy), jnp.float32)), float) ** 2
     of_level = np.bincount(level, squares) / np.bincount(level)
     spectrum = np.sqrt(of_level)[level]
     return np.maximum(spectrum / spectrum.max(), _LEAST) if spectrum.max() > 0 else np.ones_like(spectrum)

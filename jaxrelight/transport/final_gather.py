@@ -22,6 +22,7 @@ import scipy.sparse
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight import safe
+from jaxrelight.arrays import as_array
 from jaxrelight.basis.quadtree import z_curve
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.buckets import bucket, filled_up
@@ -168,8 +169,8 @@ class FinalGather:
         columns, wavelets = self._wavelets(links)
         found = []
         for reflection, channel in zip(reflections, channels or self.channels_of(reflections), strict=True):
-            given = jnp.asarray(positions, jnp.float32), jnp.asarray(frames), reflection
-            values = np.asarray(_received(*given, sources, jnp.asarray(seen), self._near))
+            given = as_array(positions, jnp.float32), as_array(frames), reflection
+            values = np.asarray(_received(*given, sources, as_array(seen), self._near))
             m, k, c, _ = values.shape
             rows = wavelets.T @ values[..., : len(points)].reshape(-1, len(points)).T
             rows = np.ascontiguousarray(rows.T).reshape(m, k, c, len(columns))
@@ -186,7 +187,7 @@ class FinalGather:
         glossy = [one for one in reflections if not one.is_constant]
         if not glossy or self._peak >= 1:
             return links
-        given = jnp.asarray(positions, jnp.float32), jnp.asarray(frames)
+        given = as_array(positions, jnp.float32), as_array(frames)
         active, found = links, []
         whole: list[Array | None] = [None] * len(glossy)
         while len(active.places):

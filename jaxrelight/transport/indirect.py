@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight import store
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.material import white_lambert
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.geometry.receivers import GROUP
@@ -75,7 +76,7 @@ def make_indirect(
                 others = PhotonGather(cloud, surfaces, tracer, albedo, each, settings.bounces - 1, settings.seed)
             between = f"between-{store.key_of(cloud_key, *way)}"
             points = cloud_receivers(cloud)
-            up = jnp.broadcast_to(jnp.asarray([0.0, 0, 1]), (*points.positions.shape[:2], 3))
+            up = jnp.broadcast_to(as_array([0.0, 0, 1]), (*points.positions.shape[:2], 3))
             mine: list[tuple[Reflection, dict]] = [(FixedView(white_lambert(), up), {"between": between})]
             rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
             rows.gathered("between", kept, others, functools.partial(report, "light between surfaces"))

@@ -6,11 +6,11 @@ import pathlib
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight import store
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.contract import Brdf
@@ -339,7 +339,7 @@ def streamed(
         return visibility.read("bits", int(groups[group]))
 
     directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    return Streamed(read_bits, jnp.asarray(frames_of(receivers, groups)), reflection, directions)
+    return Streamed(read_bits, as_array(frames_of(receivers, groups)), reflection, directions)
 
 
 def _read_geometry(layer: store.Layer) -> Surfaces:

@@ -5,11 +5,11 @@ import pathlib
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxrelight import store
+from jaxrelight.arrays import as_array
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.geometry.receivers import GROUP, Receivers
@@ -68,7 +68,7 @@ class MaterialRows:
         layers = self._layers("transport", [kept.layout(one.terms, one.channels) for one, _ in self.each])
 
         def make(i: int, frames, lacking: list[int]):
-            bits = jnp.asarray(visibility.read("bits", int(self.groups[i])))
+            bits = as_array(visibility.read("bits", int(self.groups[i])))
             for number in lacking:
                 reflection = of_group(self.each[number][0], i)
                 layers[number].write(i, **bake_compressed(kept, bits, frames, reflection, directions, basis))

@@ -3,12 +3,12 @@
 import threading
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 import scipy.sparse
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from jaxrelight.arrays import as_array
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.geometry.receivers import Receivers
@@ -104,7 +104,7 @@ class PhotonGather:
             for c in range(3):
                 sums = scipy.sparse.coo_matrix((photons.power[chosen, c] * share, (receiver, origin)), rows[:, c].shape)
                 rows[:, c] = sums.toarray()
-        encoded = np.asarray(HaarFaces(cloud.side, 1).encode(jnp.asarray(rows)))
+        encoded = np.asarray(HaarFaces(cloud.side, 1).encode(as_array(rows)))
         columns = np.arange(encoded.shape[-1])
         return [Gathered(columns, encoded[:, None], None) for _ in reflections]
 

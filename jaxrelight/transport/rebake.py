@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Array, Int
 
 from jaxrelight import store
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import Reflection, of_group
@@ -74,7 +75,7 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         n = kept.shape[-1]
         values = [
             bake.bake_kept(
-                jnp.asarray(_visibility_of(transport).read("bits", int(group))),
+                as_array(_visibility_of(transport).read("bits", int(group))),
                 frames[i],
                 of_group(reflection, i),
                 directions,

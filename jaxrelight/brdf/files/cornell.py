@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.spectra import to_rec709_weights
 from jaxrelight.brdf.tabulated import HalfDifference, Tabulated, corners, entry_angles, half_difference
@@ -143,7 +144,7 @@ def interpolated(pairs: Pairs, shape: tuple[int, int, int] = SHAPE) -> tuple[Tab
 def _angles(pairs: Pairs) -> np.ndarray:
     """θ_h, θ_d and φ_d of all pairs, in double precision: [3, n]."""
     with jax.enable_x64(True):
-        return np.stack(jax.vmap(half_difference)(jnp.asarray(pairs.omega_i), jnp.asarray(pairs.omega_o)))
+        return np.stack(jax.vmap(half_difference)(as_array(pairs.omega_i), as_array(pairs.omega_o)))
 
 
 def _coordinates(theta_h, theta_d, phi_d) -> np.ndarray:
@@ -160,7 +161,7 @@ def _through(table: np.ndarray, floor: np.ndarray, pairs: Pairs, angles: np.ndar
     mirrored = np.stack([angles[0], angles[1], np.mod(-angles[2], np.pi)])
     places = np.concatenate([angles, mirrored], axis=1)
     with jax.enable_x64(True):
-        entries, weights = jax.vmap(lambda *one: corners(HalfDifference(*one), table.shape[:3]))(*jnp.asarray(places))
+        entries, weights = jax.vmap(lambda *one: corners(HalfDifference(*one), table.shape[:3]))(*as_array(places))
     rows = np.repeat(np.arange(places.shape[1]), 8)
     used, columns = np.unique(np.ravel(entries), return_inverse=True)
     at_pairs = csr_array((np.ravel(weights), (rows, columns)), shape=(len(rows) // 8, len(used)))
@@ -174,4 +175,4 @@ def _through(table: np.ndarray, floor: np.ndarray, pairs: Pairs, angles: np.ndar
     apart = np.abs(at_pairs @ flat[used] - wanted) / (wanted + floor)
     close = np.mean(apart < 0.01)
     note = f"goes through {close:.1%} of their values within 1 %, through the others within {apart.max():.0%}"
-    return Tabulated(jnp.asarray(flat.reshape(table.shape), jnp.float32)), note
+    return Tabulated(as_array(flat.reshape(table.shape), jnp.float32)), note

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.errors import InputError
@@ -131,4 +132,4 @@ def _factors(path: pathlib.Path) -> Separable:
             raise InputError(f"{path}: '{name}' of shape {shape} is no [terms, channels, side, side] of both sides")
         if not (np.abs(maps) < np.finfo(np.float32).max).all():
             raise InputError(f"{path}: '{name}' has numbers that are not finite; factor the material again")
-    return Separable(jnp.asarray(light, jnp.float32), jnp.asarray(view, jnp.float32))
+    return Separable(as_array(light, jnp.float32), as_array(view, jnp.float32))

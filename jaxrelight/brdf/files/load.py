@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.cornell import is_cornell, read_cornell
@@ -35,7 +36,7 @@ class BrdfFile:
 
     def albedos(self) -> dict[int, float]:
         """Share of the light that is reflected, by its angle from the normal in degrees; of the brightest channel."""
-        found = _albedos(self.brdf, jnp.asarray([_at(degrees) for degrees in _DEGREES], jnp.float32))
+        found = _albedos(self.brdf, as_array([_at(degrees) for degrees in _DEGREES], jnp.float32))
         return dict(zip(_DEGREES, np.max(found, axis=-1).tolist(), strict=True))
 
     def energy_notes(self) -> list[str]:

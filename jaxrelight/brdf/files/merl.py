@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.tabulated import Tabulated, least_cosine
 
@@ -38,7 +39,7 @@ def read_merl(content: Content) -> tuple[Tabulated, list[str]]:
     values[invalid] = values[tuple(_nearest_valid(np.asarray(invalid)))]
     odd = int(np.sum(invalid & (least_cosine(SHAPE) > 0.02)))
     notes = [f"{content.path.name}: {odd:,} entries above the surface are invalid; the nearest is taken"] if odd else []
-    return Tabulated(jnp.asarray(values, jnp.float32)), notes
+    return Tabulated(as_array(values, jnp.float32)), notes
 
 
 def _nearest_valid(invalid: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import struct
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf import bilinear_warp
 from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.files.content import Content
@@ -101,4 +102,4 @@ def read_rgl(content: Content) -> tuple[Adaptive, list[str]]:
     slices = len(phi) * len(theta)
     warp = bilinear_warp.sums(visible.reshape(slices, *visible.shape[2:]))
     arrays = phi, theta, normals, area, *warp, samples.reshape(slices, *samples.shape[2:])
-    return Adaptive(*(jnp.asarray(array, jnp.float32) for array in arrays)), notes
+    return Adaptive(*(as_array(array, jnp.float32) for array in arrays)), notes

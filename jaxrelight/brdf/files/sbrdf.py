@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.coded import Storage, decode, encode
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -96,7 +97,7 @@ def spatial(levels: Sequence[SbrdfLevel]) -> Material:
     """Maps as a material: their lobes, and the finest normals as a normal map where they are not all straight."""
     level = levels[0]
     bent = np.any(np.abs(level.normals - [0, 0, 1]) > 1e-6)
-    bumps = Texture(jnp.asarray((level.normals + 1) / 2, jnp.float32)).minified() if bent else None
+    bumps = Texture(as_array((level.normals + 1) / 2, jnp.float32)).minified() if bent else None
     lobes = dataclasses.replace(level.lobes, coarser=tuple(other.lobes for other in levels[1:]))
     return Material((Component(lobes),), bumps)
 

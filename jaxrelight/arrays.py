@@ -1,0 +1,21 @@
+"""Numbers of the host as arrays of the device, without compiling anything for them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike, DTypeLike
+from jaxtyping import Array
+
+
+def as_array(values: ArrayLike | list | tuple, dtype: DTypeLike | None = None) -> Array:
+    """What `jnp.asarray` makes of numbers, which NumPy converts: JAX would compile a program for each of their shapes.
+
+    Arrays of JAX pass through, also while they are traced.
+    """
+    if isinstance(values, jax.Array):
+        return jnp.asarray(values, dtype)
+    host = np.asarray(values)
+    # As JAX is set: no float64 unless it is enabled.
+    wanted = jax.dtypes.canonicalize_dtype(host.dtype if dtype is None else dtype)
+    # What NumPy does not copy is not copied here either, as by `jnp.asarray`.
+    return jnp.asarray(host.astype(wanted, copy=False), wanted)
