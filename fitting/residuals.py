@@ -13,6 +13,9 @@ from fitting.samples import Samples
 from fitting.small_systems import solve_positive
 from jaxrelight.brdf.lobes import LobeSum
 
+# In units of it, differences of sums of squares that are as likely rounding as not.
+_OF_ROUNDING = 100
+
 
 def columns(C: Float[Array, "l 3"], exponent: Float[Array, " l"], products: Float[Array, "3 s"]) -> Float[Array, "m s"]:
     """1/π, then each lobe at unit scale, in every sample (m = 1 + l); f is linear in their factors."""
@@ -76,7 +79,9 @@ def normal_equations(unknowns: Float[Array, "l q"], given: tuple[Chart, Samples]
         projected = solve(jnp.where(free, Gh.T, 0))
         coupled = solve(jnp.where(both, jnp.eye(m, dtype=A.dtype), 0))
         along = hh - projected @ Gh
-        a, hr = a[of], jnp.where(free[of], hr, 0)
+        # What moves a column along others changes nothing: what is left of it is rounding.
+        moves = free[of] & (jnp.diagonal(along) > _OF_ROUNDING * float(jnp.finfo(A.dtype).eps) * jnp.diagonal(hh))
+        a, hr = jnp.where(moves, a[of], 0), jnp.where(moves, hr, 0)
         return a * hr, a[:, None] * a * along + hr[:, None] * hr * coupled[of][:, of]
 
     gradient, hessian = jax.vmap(channel)(a, hr)

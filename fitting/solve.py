@@ -18,6 +18,7 @@ from fitting.residuals import columns, factors, normal_equations, residual
 from fitting.samples import Samples, prepare
 from fitting.small_systems import solve_positive
 from fitting.starts import best_additions
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
 
@@ -128,7 +129,7 @@ def fit_lobes(
     Raises:
         InputError: if shapes do not belong together.
     """
-    values = jnp.asarray(values)
+    values = as_array(values)
     if values.ndim != 3 or 0 in values.shape:
         raise InputError(f"values must have the shape [items, samples, channels], not {values.shape}")
     t, s, _ = values.shape
@@ -143,7 +144,7 @@ def fit_lobes(
 
 
 def _spread(name, array, shape, dtype):
-    array = jnp.asarray(array, dtype)
+    array = as_array(array, dtype)
     if array.ndim and array.shape != shape[len(shape) - array.ndim :]:
         raise InputError(f"{name} must have the shape {list(shape)} of the values' samples, not {list(array.shape)}")
     return jnp.broadcast_to(array, shape)
@@ -282,8 +283,9 @@ def _deviations(
     inverse = jax.vmap(lambda e: solve_positive(at.hessian, e))(jnp.eye(unknowns.size, dtype=unknowns.dtype))
     variance = jnp.diagonal(inverse) * 2 * at.f / jnp.maximum(freedom, 1)
     determined = (jnp.diagonal(at.hessian) > 0) & (freedom > 0) & jnp.isfinite(variance) & (variance >= 0)
-    deviation = jnp.where(determined, jnp.sqrt(jnp.where(determined, variance, 1)), jnp.inf).reshape(unknowns.shape)
-    return deviation[:, 0] * chart.log_exponent_slope(unknowns), jnp.max(deviation[:, 1:], axis=1)
+    deviation, known = (of.reshape(unknowns.shape) for of in (jnp.sqrt(jnp.where(determined, variance, 0)), determined))
+    exponent = jnp.where(known[:, 0], deviation[:, 0] * chart.log_exponent_slope(unknowns), jnp.inf)
+    return exponent, jnp.max(jnp.where(known[:, 1:], deviation[:, 1:], jnp.inf), axis=1)
 
 
 def _judge(samples: Samples, found: _Found, relative: Float[Array, ""], options: Options) -> Int[Array, ""]:
