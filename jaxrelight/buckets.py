@@ -3,15 +3,18 @@
 import numpy as np
 
 
-def bucket(count: int, least: int) -> int:
-    """The next length of the form least·2^e·(8 … 15)/8: at most an eighth of it is padding, above `least`.
+def bucket(count: int, least: int, steps: int = 8) -> int:
+    """The next length of the form least·2^e·(1 + k/steps): at most a `steps`-th of it is padding, above `least`.
 
-    `least` is a multiple of 8.
+    Args:
+        count: of what is held.
+        least: the smallest length, a multiple of `steps`.
+        steps: lengths from one to its double; fewer compile less and compute more.
     """
     size = least
     while size < count:
-        steps = (size * step // 8 for step in range(9, 17))
-        size = next((step for step in steps if step >= count), size * 2)
+        between = (size * (steps + k) // steps for k in range(1, steps + 1))
+        size = next((length for length in between if length >= count), size * 2)
     return size
 
 

@@ -58,12 +58,6 @@ def indirect_picture(
         relighter = IndirectRelighter(transport, dials.samples or _SAMPLES)
         jax.block_until_ready(relighter.view)
     behind = environment if picture.background == "environment" else None
-    with timed(seconds, "light_first"):
-        relighter.image(every, behind=behind, sky=sky)
-    with timed(seconds, "cloud_light"):
-        cloud = jax.block_until_ready(relighter.cloud_light(every))
-    with timed(seconds, "transfer"):
-        jax.block_until_ready(relighter.gathered(relighter.spread(cloud)))
     with timed(seconds, "light"):
         image = relighter.image(every, behind=behind, sky=sky)
     seen = image[..., 3] > 0

@@ -97,8 +97,6 @@ def light_picture(
     seconds = {}
     with timed(seconds, "view"):
         seen = relighter.view(camera)
-    with timed(seconds, "light_first"):
-        terms = jax.block_until_ready(relighter.light(environment))
     with timed(seconds, "light"):
         terms = jax.block_until_ready(relighter.light(environment))
     with timed(seconds, "shade"):

@@ -13,7 +13,7 @@ rounding. A command that fails prints nothing on standard output: one line on st
     rays_per_second  of the stages that trace them
     lighting         transport, indirect or prefiltered
     seconds          by stage, in the order they came: geometry, visibility, transport, bounce 1 …; open, environment,
-                     view, light_first (with compilation), light, shade, write; load (the scene), total
+                     view, light and shade (with what is compiled), write; load (the scene), total
     bytes            on disk, by kind of layer
     operator_bytes   in memory
     kept_energy      share of transport energy that the kept coefficients hold, 0 … 1
@@ -26,8 +26,7 @@ A picture (render, relight; demo: picture alone):
     mean_radiance    of those, all channels
 
 Indirect lighting: lights (how many local ones), leaves_out (what the method does not transfer); seconds has cloud,
-between and pixels where it is precomputed; of a picture cloud_light (what its points reflect of lights), transfer (what
-pixels get of that) and light (all, with direct light).
+between and pixels where it is precomputed.
 
 render --lighting prefiltered: lights (how many), maps_bytes (of the prefiltered environment); seconds has view,
 prefilter, environment and lights.

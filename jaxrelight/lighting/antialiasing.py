@@ -1,5 +1,8 @@
 """Direct light of several samples a pixel with indirect light of one, without leaks across edges (Hašan 2006 §3.6)."""
 
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -42,12 +45,14 @@ def nearest_pixels(
     return found
 
 
+@functools.partial(jax.jit, static_argnames="factor")
 def averaged(samples: Float[Array, "fh fw c"], factor: int) -> Float[Array, "h w c"]:
     """The mean over each pixel's samples, so many along each side."""
     h, w, c = samples.shape
     return samples.reshape(h // factor, factor, w // factor, factor, c).mean(axis=(1, 3))
 
 
+@jax.jit
 def joined(
     direct: Float[Array, "fh fw c"], indirect: Float[Array, "h w c"], nearest: Int[Array, "fh fw"]
 ) -> Float[Array, "h w c"]:

@@ -14,7 +14,7 @@ from jaxrelight.arrays import as_array
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import OFFSET
-from jaxrelight.lighting.antialiasing import joined, nearest_pixels
+from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
 from jaxrelight.lighting.prefiltered import Seen, look
 from jaxrelight.lighting.shadows import Shadows
 from jaxrelight.lighting.transport import Relighter
@@ -59,6 +59,7 @@ class IndirectRelighter:
         places = as_array(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
         # Nothing lights the sky.
         self._normals = as_array(np.where(points.of_sky[:, None], 0, points.normals), jnp.float32)
+        self._dark = as_array(np.zeros(points.normals.shape), jnp.float32)
         lifted = points.positions + OFFSET * points.face_normals
         self.shadows = Shadows(transport.tracer, lifted, places, self._normals, surfaces.radius)
         self._sky_shares: dict[tuple[int, int], Array] = {}
@@ -95,11 +96,10 @@ class IndirectRelighter:
         self, lights: Sequence[Light], albedo: Float[Array, "g c"] | None = None, shadows: bool = True
     ) -> Float[Array, "g c"]:
         """Radiance that the cloud's points emit, and reflect of lights: g_d of the paper."""
-        irradiance = jnp.zeros_like(self._normals)
+        irradiance = self._dark
         for punctual in (one for light in lights for one in light.parts()):
-            incident, visible = self.shadows.arriving(punctual, shadows)
-            irradiance += _irradiance(incident, self._normals, visible)
-        return (self.albedo if albedo is None else albedo) / np.pi * irradiance + self.emission
+            irradiance = _lit(irradiance, *self.shadows.arriving(punctual, shadows), self._normals)
+        return _reflected(irradiance, self.albedo if albedo is None else albedo, self.emission)
 
     def sky_light(self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "g c"]:
         """Radiance of the cloud's directions of the sky under a lat-long map. Pure and differentiable in all three.
@@ -142,8 +142,8 @@ class IndirectRelighter:
             )
         total = light
         for _ in range(min(bounces - 1, 1) if photons else bounces - 1):
-            more = _between(self.cloud.between, self._encoded(total), self._slot)
-            total = light + (self.albedo if albedo is None else albedo) * more
+            reflected = self.albedo if albedo is None else albedo
+            total = _bounced(light, reflected, self.cloud.between, self._encoded(total), self._slot)
         return total
 
     def gathered(self, light: Float[Array, "g c"], by: Literal["all", "diffuse", "glossy"] = "all"):
@@ -195,10 +195,10 @@ class IndirectRelighter:
         "direct", "indirect.diffuse" and "indirect.glossy" are the picture, with "emission" where surfaces emit light;
         so are "light1", "light2" … and "sky", where there is one, with what emission gives them.
         """
-        black = jnp.zeros((*self.seen.covered.shape, 3))
+        black = self.seen.image([])
         spread = self._spread(lights, bounces, sky)
-        own = self.gathered(jnp.zeros_like(spread))
-        found = {"direct": joined(self.seen.lit_by(lights), jnp.zeros_like(own), self._nearest)}
+        own = self.gathered(self._dark)
+        found = {"direct": averaged(self.seen.lit_by(lights), self._samples)}
         for kind in ("diffuse", "glossy"):
             found[f"indirect.{kind}"] = joined(black, self.gathered(spread, kind) - own, self._nearest)
         none = 0
@@ -214,7 +214,7 @@ class IndirectRelighter:
     def _spread(self, lights: Sequence[Light], bounces: int | None, sky: Environment | None) -> Float[Array, "g c"]:
         """Light of the cloud that pixels see."""
         bounces = self.transport.settings.bounces if bounces is None else bounces
-        total = jnp.zeros_like(self._normals)
+        total = self._dark
         if bounces and (lights or self.transport.emits or sky is None):
             total = self.spread(self.cloud_light(lights), bounces)
         if sky is not None:
@@ -233,9 +233,15 @@ class IndirectRelighter:
 
 
 @jax.jit
-def _irradiance(incident, normals, visible):
+def _lit(irradiance, incident, visible, normals):
+    """Irradiance with that of another light."""
     cosine = jnp.maximum(jnp.sum(incident.omega_i * normals, axis=1), 0)
-    return incident.irradiance * (cosine * visible)[:, None]
+    return irradiance + incident.irradiance * (cosine * visible)[:, None]
+
+
+@jax.jit
+def _reflected(irradiance, albedo, emission):
+    return albedo / np.pi * irradiance + emission
 
 
 @jax.jit
@@ -244,5 +250,6 @@ def _encode(basis, light):
 
 
 @jax.jit
-def _between(operator: Operator, light: Float[Array, "g c"], slot) -> Float[Array, "g c"]:
-    return operator.apply(light).at[slot].get(mode="promise_in_bounds")
+def _bounced(light, albedo, between: Operator, encoded: Float[Array, "g c"], slot) -> Float[Array, "g c"]:
+    """Light of the cloud, and what its points reflect of encoded light."""
+    return light + albedo * between.apply(encoded).at[slot].get(mode="promise_in_bounds")

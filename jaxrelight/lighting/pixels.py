@@ -1,5 +1,6 @@
 """Pixels that see one material, as arrays of one of few lengths, so that few shapes are compiled."""
 
+import functools
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -41,14 +42,16 @@ def places(parts: Sequence[Pixels], count: int) -> Int[Array, " n"]:
         return jax.device_put(found)
 
 
-@jax.jit
-def assembled(parts: Sequence[Float[Array, "_ c"]], place: Int[Array, " n"]) -> Float[Array, "n c"]:
+@functools.partial(jax.jit, static_argnames="shape")
+def assembled(
+    parts: Sequence[Float[Array, "_ c"]], place: Int[Array, " n"], shape: tuple[int, int]
+) -> Float[Array, "h w c"]:
     """The image of what parts show, and 0 where none does: one look-up for each pixel.
 
     Adding parts to an image would copy it for every one of them.
     """
     rows = jnp.concatenate([*parts, jnp.zeros((1, parts[0].shape[1]), parts[0].dtype)])
-    return rows.at[place].get(mode="promise_in_bounds")
+    return rows.at[place].get(mode="promise_in_bounds").reshape(*shape, -1)
 
 
 def padded(rows: np.ndarray, mine: Int[np.ndarray, " m"], fill: int = 0) -> np.ndarray:

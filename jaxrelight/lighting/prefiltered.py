@@ -127,17 +127,16 @@ class Seen:
         Raises:
             InputError: for a BRDF that is no sum of lobes.
         """
-        parts = []
+        parts, turn = [], rotate_y * np.float32(np.pi / 180)
         for part in self.materials:
-            found = jnp.zeros((len(part.pixels.pixel), 3))
+            found = _black(part)
             for component in part.components:
                 if not isinstance(component.brdf, LobeSum | PackedLobes):
                     raise InputError(
                         f"[material.{part.name}]: prefiltered environments are for sums of lobes; fit lobes to it with "
                         "'jaxrelight-fit lafortune', or use --lighting transport"
                     )
-                turn = jnp.radians(rotate_y)
-                found += _under(component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
+                found = _under(found, component.brdf, component.weight, part.pixels, maps, turn, horizon, texels)
             parts.append(found)
         return _scaled(self.image(parts), scale)
 
@@ -145,12 +144,13 @@ class Seen:
         self, lights: Sequence[Light], shadows: bool = True, texels: Texels = "parameters"
     ) -> Float[Array, "h w 3"]:
         """Radiance under local lights, of any BRDF; differentiable in lights and BRDFs while shadows stand still."""
-        found = [jnp.zeros((len(part.pixels.pixel), 3)) for part in self.materials]
+        found = [_black(part) for part in self.materials]
         for punctual in (one for light in lights for one in light.parts()):
             arriving = self.shadows.arriving(punctual, shadows)
             for number, part in enumerate(self.materials):
                 for one in part.components:
-                    found[number] += _lit(one.brdf, one.weight, part.pixels, *arriving, part.start, texels)
+                    given = found[number], one.brdf, one.weight, part.pixels, *arriving, part.start
+                    found[number] = _lit(*given, texels)
         return self.image(found)
 
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
@@ -161,8 +161,9 @@ class Seen:
 
     def image(self, parts: Sequence[Float[Array, "p 3"]]) -> Float[Array, "h w 3"]:
         """What the pixels of each material show."""
-        image = assembled(parts, self._place) if parts else jnp.zeros((self.covered.size, 3))
-        return image.reshape(*self.covered.shape, 3)
+        if not parts:
+            return as_array(np.zeros((*self.covered.shape, 3)), jnp.float32)
+        return assembled(parts, self._place, self.covered.shape)
 
     @functools.cached_property
     def _place(self) -> Int[Array, " n"]:
@@ -248,6 +249,10 @@ def seen_component(part: Component, minification: Minification = "levels") -> Se
     return SeenComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, part.weight)
 
 
+def _black(part: SeenMaterial) -> Float[Array, "p 3"]:
+    return as_array(np.zeros((len(part.pixels.pixel), 3)), jnp.float32)
+
+
 @jax.jit
 def _scaled(image, factor):
     return image * factor
@@ -270,7 +275,7 @@ def _at(brdf, uv: Float[Array, "2"], footprint, texels: Texels, reflected):
 
 
 @functools.partial(jax.jit, static_argnames=("horizon", "texels"))
-def _under(brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon: Horizon, texels: Texels):
+def _under(others, brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon: Horizon, texels: Texels):
     # The environment turned one way is the scene turned the other.
     cosine, sine = jnp.cos(turn), jnp.sin(turn)
     rotation = jnp.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
@@ -283,7 +288,7 @@ def _under(brdf, weight, pixels: SurfacePixels, maps: Prefiltered, turn, horizon
         return jnp.where(omega_o[2] > 0, radiance * look_up(weight, uv, footprint), 0)
 
     given = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint
-    return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)
+    return others + jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)
 
 
 def prefiltered_radiance(
@@ -309,7 +314,9 @@ def prefiltered_radiance(
 
 
 @functools.partial(jax.jit, static_argnames="texels")
-def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Incident, visible, start, texels: Texels):
+def _lit(
+    others, brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Incident, visible, start, texels: Texels
+):
     # What follows a material's own pixels are those of others, for padding, which nobody reads.
     arriving = (
         jax.lax.dynamic_slice_in_dim(x, start, len(pixels.pixel))
@@ -326,4 +333,4 @@ def _lit(brdf: Brdf | PackedLobes, weight, pixels: SurfacePixels, incident: Inci
         return jnp.where(lit, value * look_up(weight, uv, footprint) * omega_i[2] * irradiance * visible, 0)
 
     given = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, *arriving
-    return jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)
+    return others + jax.lax.map(lambda one: shade(*one), given, batch_size=_TOGETHER)

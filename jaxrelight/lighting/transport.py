@@ -54,7 +54,7 @@ class Relighter:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]
         resampling = latlong.area_resampling(height, width, self.transport.settings.resolution)
-        return _light_vector(pixels, rotate_y, scale, resampling, self.transport.basis)
+        return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "*n d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator.
@@ -153,9 +153,6 @@ class Relighter:
         return np.concatenate([surface, view.covered[..., None]], axis=-1, dtype=np.float32)
 
 
-_light_vector = jax.jit(encode)
-
-
 @jax.jit
 def _split(pixels, rotate_y, scale, resampling, basis):
     """Light vectors of an environment without its sun, and of the sun; its texels and their radiance."""
@@ -225,9 +222,8 @@ def shade(
     """
     parts: dict[int, Array] = {}
     for number, *block in zip(view.part_of_block, reflections, weights, terms, strict=True):
-        found = _radiance(*block, view.parts[number])
-        parts[number] = parts[number] + found if number in parts else found
-    return assembled([parts[number] for number in range(len(view.parts))], view.place).reshape(*view.shape, -1)
+        parts[number] = _radiance(*block, view.parts[number], parts.get(number))
+    return assembled([parts[number] for number in range(len(view.parts))], view.place, view.shape)
 
 
 @jax.jit
@@ -236,9 +232,11 @@ def _radiance(
     weight: Weight,
     terms: Float[Array, "v k c"],
     pixels: MaterialPixels,
+    others: Float[Array, "p c"] | None,
 ) -> Float[Array, "p c"]:
     corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
     # pixels p, corners b, terms k, channels c
     light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
     view = outgoing(reflection, weight, pixels.omega_o, pixels.uv, pixels.footprint)
-    return jnp.sum(view * light, axis=1)
+    radiance = jnp.sum(view * light, axis=1)
+    return radiance if others is None else others + radiance

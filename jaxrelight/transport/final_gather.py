@@ -178,7 +178,7 @@ class FinalGather:
         return found
 
     def _sources(self, links: Links) -> Sources:
-        points, length = links.places, bucket(max(len(links.places), 1), 1024)
+        points, length = links.places, bucket(max(len(links.places), 1), 1024, 2)
         arrays = self._positions[points], self._normals[points], links.areas, 4.0**links.heights
         return Sources(*(filled_up(np.asarray(array), length) for array in arrays))
 

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import pathlib
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight import store
@@ -16,10 +15,10 @@ from jaxrelight.scene import Scene
 from jaxrelight.transport.cloud_spectrum import cloud_spectrum
 from jaxrelight.transport.compression import of_cloud
 from jaxrelight.transport.final_gather import FinalGather
-from jaxrelight.transport.gather_cloud import PARTS, PIECES, cloud_receivers, gather_cloud
+from jaxrelight.transport.gather_cloud import PARTS, PIECES, GatherCloud, cloud_receivers, gather_cloud
 from jaxrelight.transport.groups import Report, timed
 from jaxrelight.transport.importance import Importance
-from jaxrelight.transport.layer_files import write_lights, write_once
+from jaxrelight.transport.layer_files import made_once, write_lights, write_once
 from jaxrelight.transport.layers import Made
 from jaxrelight.transport.material_rows import MaterialRows
 from jaxrelight.transport.photon_gather import PhotonGather
@@ -43,26 +42,29 @@ def make_indirect(
     with timed(seconds, "geometry"):
         here = place(scene, settings, folder)
     folder, placed, surfaces, tracer = here.folder, here.placed, here.placed.surfaces, here.placed.tracer
-    assert placed.seen is not None
-
     with timed(seconds, "cloud"):
         albedo = SurfaceAlbedo(scene, surfaces)
-        worth, worth_key = None, None
-        if settings.importance:
-            worth = Importance(surfaces, tracer, placed.seen, albedo, seed=settings.seed)
-            worth_key = here.receivers_key(albedo.key)
-        made_by = settings.gather_samples, settings.seed, worth_key, settings.sky, PIECES, PARTS
+        worth_key = here.receivers_key(albedo.key) if settings.importance else None
+        made_by = settings.gather_samples, settings.seed, worth_key, settings.sky, PIECES, PARTS, "spectrum"
         cloud_key = store.key_of(here.key, *made_by)
-        cloud = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed, sky=settings.sky)
-        arrays = {field.name: getattr(cloud, field.name) for field in dataclasses.fields(cloud)}
-        write_once(folder / f"cloud-{cloud_key}", arrays)
+
+        def make_cloud() -> dict[str, np.ndarray]:
+            assert placed.seen is not None
+            worth = Importance(surfaces, tracer, placed.seen, albedo, seed=settings.seed) if worth_key else None
+            points = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed, sky=settings.sky)
+            spectrum = cloud_spectrum(points, surfaces, tracer, settings.seed)
+            return {**{field.name: getattr(points, field.name) for field in fields}, "spectrum": spectrum}
+
+        fields = dataclasses.fields(GatherCloud)
+        arrays = made_once(folder / f"cloud-{cloud_key}", make_cloud)
+        cloud = GatherCloud(*(arrays[field.name] for field in fields))
         reflected, emitted = np.zeros((2, len(cloud.faces), 3), np.float32)
         solid = np.flatnonzero(~cloud.of_sky)
         reflected[solid] = albedo(*(of[solid] for of in (cloud.faces, cloud.barycentric, cloud.back, cloud.areas)))
         emitted[solid] = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces[solid], 0]]]
         albedo_key = store.key_of(cloud_key, reflected, emitted)
         write_once(folder / f"albedo-{albedo_key}", {"albedo": reflected, "emission": emitted})
-        kept = of_cloud(settings, cloud_spectrum(cloud, surfaces, tracer, settings.seed))
+        kept = of_cloud(settings, arrays["spectrum"])
 
     gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near, settings.peak)
     dials = kept.dial, settings.solid_angle, settings.near, GROUP
@@ -76,7 +78,7 @@ def make_indirect(
                 others = PhotonGather(cloud, surfaces, tracer, albedo, each, settings.bounces - 1, settings.seed)
             between = f"between-{store.key_of(cloud_key, *way)}"
             points = cloud_receivers(cloud)
-            up = jnp.broadcast_to(as_array([0.0, 0, 1]), (*points.positions.shape[:2], 3))
+            up = as_array(np.broadcast_to([0.0, 0, 1], (*points.positions.shape[:2], 3)), np.float32)
             mine: list[tuple[Reflection, dict]] = [(FixedView(white_lambert(), up), {"between": between})]
             rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
             rows.gathered("between", kept, others, functools.partial(report, "light between surfaces"))

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
@@ -43,6 +43,16 @@ def write_once(folder: pathlib.Path, arrays: dict[str, np.ndarray]) -> store.Lay
     if layer.missing:
         layer.write(0, **arrays)
     return layer
+
+
+def made_once(folder: pathlib.Path, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays of a layer of a single group: as they are stored, else as they are made, which are stored then."""
+    with contextlib.suppress(InputError):
+        layer = store.open_layer(folder)
+        return next(layer.read_groups())
+    arrays = make()
+    write_once(folder, arrays)
+    return arrays
 
 
 def write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:

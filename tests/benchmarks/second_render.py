@@ -17,7 +17,7 @@ CASES = {
     "bunny_phong, pixels": ("bunny_phong", "pixels"),
     "bunny_phong, vertices": ("bunny_phong", "vertices"),
 }
-STAGES = ("load", "geometry", "visibility", "transport", "open", "view", "light_first", "light", "shade", "write")
+STAGES = ("load", "geometry", "visibility", "transport", "open", "view", "light", "shade", "write")
 TARGET = 3.0
 
 

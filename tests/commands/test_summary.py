@@ -21,7 +21,7 @@ DONE = {"rays", "rays_per_second"}
 DONE |= {f"seconds.{stage}" for stage in ("load", "geometry", "visibility", "transport", "open")}
 DONE |= {f"bytes.{kind}" for kind in ("geometry", "environment", "visibility", "factors", "transport")}
 PICTURE = {"picture", "width", "height", "covered", "mean_radiance"} | {
-    f"seconds.{stage}" for stage in ("view", "light_first", "light", "shade", "write", "total")
+    f"seconds.{stage}" for stage in ("view", "light", "shade", "write", "total")
 }
 KEYS = {
     "precompute": MADE | DONE | {"lighting", "seconds.total"},
