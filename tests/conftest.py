@@ -29,13 +29,6 @@ gc.freeze()
 gc.set_threshold(50_000, 20, 100)
 
 
-def pytest_configure(config):
-    """The quick suite's programs are compiled quickly, which they live for; slow tests run them as users do."""
-    if config.getoption("markexpr") == "not slow":
-        flags = os.environ.get("XLA_FLAGS", ""), "--xla_backend_optimization_level=0"
-        os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys(" ".join(flags).split()))
-
-
 def pytest_unconfigure():
     if not _IS_WORKER:
         shutil.rmtree(os.environ[_CACHE], ignore_errors=True)
