@@ -2,9 +2,14 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight import safe
+from jaxrelight.buckets import filled_up
+
+# Points whose frames are made at once.
+_PART = 4096
 
 
 @jax.jit
@@ -29,9 +34,20 @@ def tangent_frame(
     return jnp.stack([s, jnp.cross(normal, s), normal], axis=-2)
 
 
-@jax.jit
-def to_local(
-    normal: Float[Array, "... 3"], tangent: Float[Array, "... 3"], direction: Float[Array, "... 3"]
-) -> Float[Array, "... 3"]:
-    """World directions in the tangent frames of their normals and tangents."""
-    return jnp.einsum("...xy,...y->...x", tangent_frame(normal, tangent), direction, precision="highest")
+def frames_of_points(
+    normals: Float[np.ndarray, "p 3"], tangents: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "p 3 3"]:
+    """`tangent_frame` of points on the host: in parts of one shape, so that one program serves any number of them."""
+    found = np.empty((len(normals), 3, 3), np.float32)
+    # On the host also where a caller is being traced.
+    with jax.ensure_compile_time_eval():
+        for start in range(0, len(found), _PART):
+            rows = slice(start, start + _PART)
+            frames = tangent_frame(*(filled_up(points[rows], _PART) for points in (normals, tangents)))
+            found[rows] = np.asarray(frames)[: len(found[rows])]
+    return found
+
+
+def to_local(frames: Float[np.ndarray, "*p 3 3"], directions: Float[np.ndarray, "*p 3"]) -> Float[np.ndarray, "*p 3"]:
+    """World directions in the frames of their points, on the host."""
+    return np.einsum("...xy,...y->...x", frames, directions.astype(np.float32))

@@ -26,7 +26,7 @@ from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.buckets import bucket, filled_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
@@ -225,14 +225,14 @@ def look(
             if materials[name].is_spatial:
                 # Neighbours in the maps one after the other: large maps are read a tenth faster.
                 mine = mine[np.argsort(morton(gbuffer.uv[mine] % 1), kind="stable")]
-            directions = gbuffer.normals, gbuffer.tangents, gbuffer.omega_o
-            frame, omega_o = _framed(*(padded(rows, mine) for rows in directions))
+            frames = frames_of_points(gbuffer.normals[mine], gbuffer.tangents[mine])
+            own, omega_o = np.arange(len(mine)), to_local(frames, gbuffer.omega_o[mine])
             pixels = SurfacePixels(
                 pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
                 uv=jax.device_put(padded(gbuffer.uv, mine)),
                 footprint=jax.device_put(padded(gbuffer.footprint, mine)),
-                omega_o=omega_o,
-                frame=frame,
+                omega_o=jax.device_put(padded(omega_o, own)),
+                frame=jax.device_put(padded(frames, own)),
             )
             components = tuple(seen_component(part, minification) for part in materials[name].components)
             parts.append(SeenMaterial(name, components, pixels, sum(map(len, order))))
@@ -256,12 +256,6 @@ def _black(part: SeenMaterial) -> Float[Array, "p 3"]:
 @jax.jit
 def _scaled(image, factor):
     return image * factor
-
-
-@jax.jit
-def _framed(normal, tangent, omega_o):
-    frame = tangent_frame(normal, tangent)
-    return frame, jnp.einsum("pxy,py->px", frame, omega_o, precision="highest")
 
 
 def _at(brdf, uv: Float[Array, "2"], footprint, texels: Texels, reflected):

@@ -157,7 +157,8 @@ class Relighter:
 def _split(pixels, rotate_y, scale, resampling, basis):
     """Light vectors of an environment without its sun, and of the sun; its texels and their radiance."""
     split = split_sun(encode(pixels, rotate_y, scale, resampling, Texels(basis.resolution)))
-    return basis.encode(split.rest.T).T, basis.encode(split.sun.T).T, split.texels, split.radiance
+    rest, sun = basis.encode(jnp.stack([split.rest.T, split.sun.T]))
+    return rest.T, sun.T, split.texels, split.radiance
 
 
 def _terms(operator: Operator, light: Float[Array, "*n d c"], block: Block) -> Float[Array, "*n v k c"]:

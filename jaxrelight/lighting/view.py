@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.frame import to_local
+from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.lighting.pixels import Pixels, padded, places
 from jaxrelight.transport.load import Transport
 from jaxrelight.transport.normal_maps import see
@@ -85,17 +85,15 @@ def make_view(transport: Transport, camera: Camera) -> View:
         groups = block.groups
         mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
         first = groups[0] * transport.receivers.positions.shape[1]
-        directions = gbuffer.normals, gbuffer.tangents, gbuffer.omega_o
+        frames = frames_of_points(gbuffer.normals[mine], gbuffer.tangents[mine])
+        omega_o = to_local(frames, gbuffer.omega_o[mine])
         parts[block.material] = MaterialPixels(
             pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
             uv=jax.device_put(padded(gbuffer.uv, mine)),
             footprint=jax.device_put(padded(gbuffer.footprint, mine)),
-            omega_o=_local(*(padded(rows, mine) for rows in directions)),
+            omega_o=jax.device_put(padded(omega_o, np.arange(len(mine)))),
             receivers=jax.device_put(padded(receivers - first, mine)),
             weights=jax.device_put(padded(weights, mine)),
         )
     number = [[*parts].index(name) for name in transport.names]
     return View(tuple(parts.values()), tuple(number), gbuffer.covered, gbuffer.directions)
-
-
-_local = jax.jit(to_local)

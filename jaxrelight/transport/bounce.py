@@ -23,7 +23,7 @@ from jaxrelight.basis import cubemap
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.buckets import filled_up
-from jaxrelight.geometry.frame import to_local
+from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
@@ -207,10 +207,9 @@ class Gather:
             if not len(mine):
                 continue
             length = _power(len(mine), 2, 1024)
-            directions = points.normals, points.tangents, points.omega_o
-            local = _local(*(filled_up(rows[mine], length) for rows in directions))
-            uv, footprint = filled_up(points.uv[mine], length), filled_up(points.footprint[mine], length)
-            closing = _outgoing(block.reflection, block.weight, local, uv, footprint)
+            local = to_local(frames_of_points(points.normals[mine], points.tangents[mine]), points.omega_o[mine])
+            seen = (filled_up(rows, length) for rows in (local, points.uv[mine], points.footprint[mine]))
+            closing = _outgoing(block.reflection, block.weight, *seen)
             yield number, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
 
     def _columns(self, closings) -> Int[np.ndarray, " n"]:
@@ -307,7 +306,6 @@ def _power(count: int, base: int, least: int = 1) -> int:
     return least
 
 
-_local = jax.jit(to_local)
 _outgoing = jax.jit(outgoing)
 
 
@@ -383,13 +381,13 @@ def remaining(transport: Transport, before: Transport | None, albedo: float) -> 
 
 def _lit(transport: Transport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Radiance along the normals of all vertices: under an even white sky, and by the light that surfaces emit."""
-    white = transport.basis.encode(jnp.ones(transport.operator.shape[1]))
-    along = as_array([[0.0, 0.0, 1.0]])
+    white = np.asarray(transport.basis.encode(np.ones(transport.operator.shape[1], np.float32)))
+    at_normal = [np.asarray(rows, np.float32) for rows in ([[0.0, 0.0, 1.0]], [[0.0, 0.0]], [1.0])]
     reflected, emitted = [], []
     for block, operator in transport.each:
-        closing = np.asarray(_outgoing(block.reflection, block.weight, along, jnp.zeros((1, 2)), jnp.ones(1)))
+        closing = np.asarray(_outgoing(block.reflection, block.weight, *at_normal))
         channels = max(operator.shape[2], closing.shape[-1])
-        terms = _applied(operator, jnp.broadcast_to(white[:, None], (len(white), channels)))
+        terms = _applied(operator, np.repeat(white[:, None], channels, axis=1))
         reflected.append(np.sum(np.asarray(terms).reshape(-1, block.reflection.terms, channels) * closing, axis=1))
         own = np.zeros(3) if block.emission is None else block.emission
         more = 0.0 if block.emitted is None else np.sum(block.emitted * closing, axis=1)

@@ -22,7 +22,7 @@ from jaxrelight.brdf.spatial_factors import SpatialFactors
 from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.frame import tangent_frame, to_local
+from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
@@ -372,14 +372,15 @@ def receivers_of(
 
 def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:
     """The tangent frames of some groups."""
-    return _by_group(tangent_frame, receivers.normals[groups], receivers.tangents[groups])
+    normals = receivers.normals[groups]
+    frames = frames_of_points(normals.reshape(-1, 3), receivers.tangents[groups].reshape(-1, 3))
+    return frames.reshape(*normals.shape, 3)
 
 
 def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
     """The exact reflection of some groups of pixel receivers; of a spatial BRDF, each has its own."""
     assert receivers.omega_o is not None
-    arrays = receivers.normals, receivers.tangents, receivers.omega_o
-    omega_o: Any = _by_group(to_local, *(array[groups] for array in arrays))
+    omega_o: Any = to_local(frames_of(receivers, groups), receivers.omega_o[groups])
     if not isinstance(brdf, SpatialLobes):
         return FixedView(brdf, omega_o)
     assert receivers.uv is not None
@@ -395,17 +396,6 @@ def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.n
 @jax.jit
 def _at(brdf: PackedLobes, uv: Float[Array, "m 2"], footprint: Float[Array, " m"]) -> Brdf:
     return brdf.at(uv, footprint)
-
-
-def _by_group(function, *arrays: Float[np.ndarray, "g m ..."]) -> Float[np.ndarray, "g m ..."]:
-    """A function of the arrays of one group, for many: compiled once, however many there are."""
-    compiled = _compiled(function)
-    # Constants, also where a caller is being traced.
-    with jax.ensure_compile_time_eval():
-        return np.stack([compiled(*(part.astype(np.float32) for part in group)) for group in zip(*arrays, strict=True)])
-
-
-_compiled = functools.cache(jax.jit)
 
 
 def read_factors(layer: store.Layer) -> Factored:
