@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from fitting.small_systems import solve_positive
 
 
+@jax.jit
 def solve_non_negative(gram: Float[Array, "m m"], moment: Float[Array, " m"]) -> Float[Array, " m"]:
     """A ≥ 0 that minimises aᵀ gram a − 2 aᵀ moment, for gram = GᵀG and moment = Gᵀy of m ≤ 4 columns G.
 

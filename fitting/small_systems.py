@@ -1,9 +1,11 @@
 """Systems of a few unknowns, written out entry by entry so that a batch of them vectorises."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+@jax.jit
 def solve_positive(A: Float[Array, "k k"], b: Float[Array, " k"]) -> Float[Array, " k"]:
     """X with A x = b for a symmetric positive definite A, by Cholesky's factorisation.
 

@@ -1,5 +1,7 @@
 """Numbers that vary over a surface: an image by texture coordinates, and coarser ones for surfaces far away."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -47,8 +49,7 @@ class Texture(eqx.Module):
         if self.is_constant:
             return self.pixels[0, 0]
         # One texel at a time: arrays of four are several times slower.
-        (first, share), *others = self.around(uv, footprint)
-        return sum((weight * texel for texel, weight in others), share * first)
+        return functools.reduce(jnp.add, [weight * texel for texel, weight in self.around(uv, footprint)])
 
     @jax.jit
     def around(

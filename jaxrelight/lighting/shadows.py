@@ -7,8 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer as JaxTracer
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrelight.arrays import as_array
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lights.local import Incident, Punctual
 from jaxrelight.threads import in_parts
@@ -57,10 +59,13 @@ class Shadows:
         Without shadows, 1 everywhere.
         """
         # Numbers that are no arrays would be compiled in, for every place of the light anew.
-        punctual = jax.tree.map(lambda x: jnp.asarray(x, float) if isinstance(x, float) else x, punctual)
+        punctual = jax.tree.map(lambda x: as_array(x, np.float32) if isinstance(x, float) else x, punctual)
         incident, lit = _arriving(punctual, self.positions, self._normals)
         if not shadows:
-            return incident, jnp.ones_like(incident.distance)
+            return incident, as_array(np.ones(incident.distance.shape, np.float32))
+        if not isinstance(incident.distance, JaxTracer):
+            # Called back, it would be compiled for every light.
+            return incident, as_array(self._traced(incident.omega_i, incident.distance, lit))
         shape = jax.ShapeDtypeStruct(incident.distance.shape, np.float32)
         given = jax.lax.stop_gradient((incident.omega_i, incident.distance))
         return incident, jax.pure_callback(self._traced, shape, *given, lit, vmap_method="sequential")

@@ -150,7 +150,7 @@ def sparse_rows(
     host = all(isinstance(array, np.ndarray) for array in jax.tree.leaves((indices, values)))
 
     if not host:
-        return SparseRows(*_in_blocks(indices, values, b, m, columns), r, columns)
+        return SparseRows(*_compiled_blocks(indices, values, b, m, columns), r, columns)
     return SparseRows(*jax.device_put(_blocks(np, indices, values, b, m, columns)), r, columns)
 
 
@@ -164,7 +164,9 @@ def _blocks(xp, indices, values, b: int, m: int, columns: int):
     return block(indices.astype(smallest_index_type(columns))), channels
 
 
-_in_blocks = jax.jit(functools.partial(_blocks, jnp), static_argnames=("b", "m", "columns"))
+@functools.partial(jax.jit, static_argnames=("b", "m", "columns"))
+def _compiled_blocks(indices, values, b: int, m: int, columns: int):
+    return _blocks(jnp, indices, values, b, m, columns)
 
 
 def smallest_index_type(columns: int) -> np.dtype:

@@ -1,9 +1,8 @@
 """What is compiled anew, and what is not: shapes come in few sizes."""
 
-import contextlib
 import dataclasses
+import functools
 
-import jax.monitoring
 import numpy as np
 import pytest
 
@@ -12,26 +11,11 @@ from jaxrelight import Part, Relighter, Scene, Settings
 from jaxrelight.lighting.adaptive import AdaptiveShader
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.pyramid import light_pyramid
+from tests.compilations import compilations
 
 SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
 SETTINGS = Settings(resolution=8, terms=2, coefficients=24, factor_resolution=8)
-
-
-@contextlib.contextmanager
-def _compilations():
-    """Counts what XLA is given to compile within the block."""
-    count = []
-
-    def listen(event: str, *_, **__):
-        if event == "/jax/core/compile/backend_compile_duration":
-            count.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
-        yield count
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:
@@ -48,16 +32,16 @@ def _picture(scene: Scene, settings: Settings, folder) -> np.ndarray:
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])
 def test_another_mesh_of_similar_size_compiles_nothing(tmp_path, receivers: str):
     settings = dataclasses.replace(SETTINGS, receivers=receivers)
-    with _compilations() as first:
+    with compilations() as first:
         one = _picture(_scene(13, 30), settings, tmp_path / "one")
     assert first
-    with _compilations() as second:
+    with compilations() as second:
         other = _picture(_scene(12, 28), settings, tmp_path / "other")
     assert not second
     assert np.abs(one - other).max() > 0
     # Not because all is one size: a far larger mesh, or a far larger picture, does.
     larger = _scene(40, 28) if receivers == "vertices" else _scene(12, 28, dataclasses.replace(CAMERA, width=90))
-    with _compilations() as third:
+    with compilations() as third:
         _picture(larger, settings, tmp_path / "larger")
     assert third
 
@@ -66,7 +50,7 @@ def test_another_view_light_and_turn_compile_nothing(tmp_path):
     made = jr.precompute(_scene(13, 30), SETTINGS, tmp_path)
     relighter = Relighter(jr.load(made.folder, made.header))
     first = relighter.image(SKY, relighter.view())
-    with _compilations() as compiled:
+    with compilations() as compiled:
         brighter = jr.environment(SKY.pixels[::-1] + 1, rotate_y=50, scale=2.5)
         second = relighter.image(brighter, relighter.view(dataclasses.replace(CAMERA, origin=(-1.0, 1.2, 2.0))))
     assert not compiled
@@ -84,7 +68,7 @@ def test_another_sun_compiles_nothing(tmp_path):
         return np.asarray(relighter.light(jr.environment(pixels, rotate_y=turn))[0])
 
     first = light(1, 0.0)
-    with _compilations() as compiled:
+    with compilations() as compiled:
         second = light(2, 7.0)
     assert not compiled
     assert np.abs(first - second).max() > 1
@@ -93,18 +77,41 @@ def test_another_sun_compiles_nothing(tmp_path):
 def test_opening_the_store_again_compiles_nothing(tmp_path):
     scene = _scene(13, 30)
     one = _picture(scene, SETTINGS, tmp_path)
-    with _compilations() as compiled:
+    with compilations() as compiled:
         other = _picture(scene, SETTINGS, tmp_path)
     assert not compiled
     np.testing.assert_array_equal(one, other)
 
 
+@functools.cache
+def _shader() -> AdaptiveShader:
+    return AdaptiveShader(look_at(_scene(13, 30)), CAMERA)
+
+
 def test_shaded_again_shadows_compile_nothing():
     """However many batches their rays come in."""
-    shader = AdaptiveShader(look_at(_scene(13, 30)), CAMERA)
     light = light_pyramid(SKY)
-    few = np.asarray(shader.uniform(light, 16, shadows=True))
-    with _compilations() as compiled:
-        many = np.asarray(shader.uniform(light, 1024, shadows=True))
+    few = np.asarray(_shader().uniform(light, 16, shadows=True))
+    with compilations() as compiled:
+        many = np.asarray(_shader().uniform(light, 1024, shadows=True))
     assert not compiled
     assert 0 < np.abs(few - many).max() < 1
+
+
+def test_pictures_of_about_a_size_are_planned_and_shaded_by_the_same_programs():
+    """But for what puts pixels where they are in the picture, and reads the view's numbers of them."""
+
+    def picture(shader: AdaptiveShader, seed: int, tolerance: float) -> np.ndarray:
+        light = light_pyramid(jr.environment(np.random.default_rng(seed).uniform(0.1, 1, size=(8, 16, 3))))
+        return np.asarray(shader.shade(shader.plan(light, tolerance=tolerance), light))
+
+    first = picture(_shader(), 0, 0.02)
+    with compilations() as compiled:
+        second = picture(_shader(), 1, 0.01)
+    assert not compiled
+    assert np.abs(first - second).max() > 0
+    narrower = dataclasses.replace(CAMERA, width=23)
+    with compilations() as compiled:
+        other = picture(AdaptiveShader(look_at(_scene(13, 30, narrower)), narrower), 0, 0.02)
+    assert set(compiled) <= {"jit(assembled)"}
+    assert other.shape[1] == 23

@@ -1,0 +1,21 @@
+"""Counting what XLA is given to compile."""
+
+import contextlib
+
+import jax.monitoring
+
+
+@contextlib.contextmanager
+def compilations():
+    """Lists the programs that are compiled within the block, by name."""
+    found: list[str] = []
+
+    def listen(event: str, _, **details):
+        if event == "/jax/core/compile/backend_compile_duration":
+            found.append(str(details.get("fun_name", "")))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
