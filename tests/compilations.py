@@ -10,7 +10,8 @@ def compilations():
     """Lists the programs that are compiled within the block, by name."""
     found: list[str] = []
 
-    def listen(event: str, _, **details):
+    def listen(event: str, duration_secs: float, **details):
+        del duration_secs
         if event == "/jax/core/compile/backend_compile_duration":
             found.append(str(details.get("fun_name", "")))
 

@@ -4,6 +4,7 @@ import functools
 import pathlib
 import re
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import numpy as np
@@ -40,10 +41,10 @@ from jaxrelight.operators.contract import as_lineax
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from tests.compilations import compilations
 
-UP = np.array([0.0, 0.6, 0.8], np.float32)
+UP: Any = np.array([0.0, 0.6, 0.8], np.float32)
 
 
-def values(seed: int, *shape: int) -> np.ndarray:
+def values(seed: int, *shape: int) -> Any:
     return np.random.default_rng(seed).uniform(0.1, 1, shape).astype(np.float32)
 
 
@@ -63,7 +64,7 @@ def lobes(seed: int) -> SpatialLobes:
     shape = 2, 2
     C = np.broadcast_to([-1.0, -1, 0.9], (*shape, 1, 3)).astype(np.float32)
     axis = np.broadcast_to([1.0, 0], (*shape, 2)).astype(np.float32)
-    arrays = 0 * values(seed, *shape, 3), C, 3 + values(seed, *shape, 1), values(seed, *shape, 1, 3), axis
+    arrays: Any = 0 * values(seed, *shape, 3), C, 3 + values(seed, *shape, 1), values(seed, *shape, 1, 3), axis
     return SpatialLobes(*map(jax.device_put, arrays))
 
 
@@ -73,8 +74,8 @@ def level(seed: int):
 
 def fit(seed: int):
     directions = values(seed, 2, 4, 40, 3)
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    return fit_lobes(*directions, values(seed, 4, 40, 3))
+    omega_i, omega_o = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return fit_lobes(omega_i, omega_o, values(seed, 4, 40, 3))
 
 
 def normals(seed: int):
@@ -89,7 +90,7 @@ def seen(seed: int):
 
 
 # By the file that loops. What is lit by a whole scene is counted in `lighting/test_compilations.py`.
-FUNCTIONS: dict[str, list[Callable[[int], object]]] = {
+FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     "basis/zonal": [lambda seed: zonal.zonal_means(values(seed, 8, 16, 3), 2.0 + seed)],
     "brdf/albedo": [lambda seed: largest_albedo(as_material(paint(seed))), lambda seed: mean_albedo(paint(seed))],
     "brdf/alternating": [lambda seed: refactored(paint(seed), factor(paint(seed), 2, 8))],
@@ -137,7 +138,13 @@ ELSEWHERE = {
     *("lighting/estimate", "lighting/hierarchy", "lighting/prediction", "lighting/shadows", "lighting/sun"),
     *("transport/bake", "transport/final_gather"),
 }
-CASES = [(file, number) for file, of_file in FUNCTIONS.items() for number in range(len(of_file))]
+# What takes seconds to compile the first time.
+DEAR = "fitting/factors", "fitting/sbrdf_levels"
+CASES = [
+    pytest.param(file, number, marks=[pytest.mark.slow] * (file in DEAR))
+    for file, of_file in FUNCTIONS.items()
+    for number in range(len(of_file))
+]
 
 
 @pytest.mark.parametrize(("file", "number"), CASES)

@@ -28,21 +28,24 @@ class Demo:
         """Runs the command."""
         import time
 
-        import jax
-        import numpy as np
-
         from jaxrelight.commands.precompute import as_made
         from jaxrelight.commands.progress import progress
-        from jaxrelight.commands.relight import describe
+        from jaxrelight.commands.relight import describe, timed
         from jaxrelight.commands.summary import summarize
-        from jaxrelight.demo_scene import demo_scene
         from jaxrelight.errors import InputError
-        from jaxrelight.images import image_error, write_image
-        from jaxrelight.lighting.transport import Relighter
-        from jaxrelight.transport.load import load
-        from jaxrelight.transport.precompute import precompute
-        from jaxrelight.transport.rebake import exact
-        from jaxrelight.transport.settings import Settings
+
+        imports: dict[str, float] = {}
+        with timed(imports, "imports"):
+            import jax
+            import numpy as np
+
+            from jaxrelight.demo_scene import demo_scene
+            from jaxrelight.images import image_error, write_image
+            from jaxrelight.lighting.transport import Relighter
+            from jaxrelight.transport.load import load
+            from jaxrelight.transport.precompute import precompute
+            from jaxrelight.transport.rebake import exact
+            from jaxrelight.transport.settings import Settings
 
         if not 0.05 <= self.detail <= 8 or not 16 <= self.height <= 4096:
             raise InputError("the demo's detail goes from 0.05 to 8, its height from 16 to 4,096")
@@ -59,7 +62,7 @@ class Demo:
             dataclasses.replace(scene.camera, origin=eye, width=2 * scene.camera.width, height=2 * scene.camera.height)
             for eye in _EYES
         ]
-        timed: dict[str, list[float]] = {"change_of_light": [], "shading": []}
+        spent: dict[str, list[float]] = {"change_of_light": [], "shading": []}
 
         def lit(environment, view):
             """The light terms and the picture, timed."""
@@ -67,8 +70,8 @@ class Demo:
             terms = jax.block_until_ready(relighter.light(environment))
             middle = time.perf_counter()
             jax.block_until_ready(relighter.shade(terms, view))
-            timed["change_of_light"].append(middle - began)
-            timed["shading"].append(time.perf_counter() - middle)
+            spent["change_of_light"].append(middle - began)
+            spent["shading"].append(time.perf_counter() - middle)
             return relighter.image(environment, view, terms)
 
         rows = []
@@ -97,10 +100,10 @@ class Demo:
                 **describe(relighter.transport),
                 "milliseconds": {
                     "change_of_view": 1e3 * viewed,
-                    **{name: 1e3 * times[-1] for name, times in timed.items()},
+                    **{name: 1e3 * times[-1] for name, times in spent.items()},
                 },
                 "error": {"coefficients": error.untrimmed, "without_worst_5_percent": error.trimmed},
-                "seconds": {**made.seconds, "total": time.perf_counter() - start},
+                "seconds": {**imports, **made.seconds, "total": time.perf_counter() - start},
             },
             self.json,
         )

@@ -44,11 +44,12 @@ class Precompute:
         from jaxrelight.commands.relight import describe, timed
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
-        from jaxrelight.mesh_scene import open_scene
-        from jaxrelight.transport.load import load
-        from jaxrelight.transport.precompute import precompute
 
         seconds = {}
+        with timed(seconds, "imports"):
+            from jaxrelight.mesh_scene import open_scene
+            from jaxrelight.transport.load import load
+            from jaxrelight.transport.precompute import precompute
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
         notes(scene.notes)

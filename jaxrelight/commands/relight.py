@@ -39,11 +39,12 @@ class Relight:
         start = time.perf_counter()
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
-        from jaxrelight.images import check_writable
-        from jaxrelight.transport.load import load
 
-        check_writable(self.output)
         seconds = {}
+        with timed(seconds, "imports"):
+            from jaxrelight.images import check_writable
+            from jaxrelight.transport.load import load
+        check_writable(self.output)
         with timed(seconds, "open"):
             transport = load(self.store)
         if transport.cloud:

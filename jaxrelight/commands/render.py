@@ -68,11 +68,12 @@ class Render:
         start = time.perf_counter()
         from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize
-        from jaxrelight.images import check_writable
-        from jaxrelight.mesh_scene import open_scene
 
-        check_writable(self.output)
         seconds = {}
+        with timed(seconds, "imports"):
+            from jaxrelight.images import check_writable
+            from jaxrelight.mesh_scene import open_scene
+        check_writable(self.output)
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
             scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))

@@ -12,8 +12,9 @@ rounding. A command that fails prints nothing on standard output: one line on st
     rays             traced by this run; 0 if all was there
     rays_per_second  of the stages that trace them
     lighting         transport, indirect or prefiltered
-    seconds          by stage, in the order they came: geometry, visibility, transport, bounce 1 …; open, environment,
-                     view, light and shade (with what is compiled), write; load (the scene), total
+    seconds          by stage, in the order they came: imports (of libraries), load (the scene), geometry, visibility,
+                     transport, bounce 1 …; open, environment, view, light and shade (with what is compiled), write;
+                     total
     bytes            on disk, by kind of layer
     operator_bytes   in memory
     kept_energy      share of transport energy that the kept coefficients hold, 0 … 1

@@ -120,4 +120,4 @@ def test_terminal_shows_bars_and_wraps_the_summary(folder, columns: int):
     summary = text[text.index("           store") :].splitlines()
     assert max(map(len, summary)) <= columns
     assert any(line.startswith(" " * 18) for line in summary) or columns > 100
-    assert "seconds  load" in text
+    assert "seconds  imports" in text

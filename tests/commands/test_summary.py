@@ -18,7 +18,7 @@ SETTINGS = (
 MADE = {"command", "store", "receivers", "operator_bytes", "kept_energy"}
 MADE |= {f"versions.{name}" for name in ("jaxrelight", "jax", "embreex")} | {f"settings.{name}" for name in SETTINGS}
 DONE = {"rays", "rays_per_second"}
-DONE |= {f"seconds.{stage}" for stage in ("load", "geometry", "visibility", "transport", "open")}
+DONE |= {f"seconds.{stage}" for stage in ("imports", "load", "geometry", "visibility", "transport", "open")}
 DONE |= {f"bytes.{kind}" for kind in ("geometry", "environment", "visibility", "factors", "transport")}
 PICTURE = {"picture", "width", "height", "covered", "mean_radiance"} | {
     f"seconds.{stage}" for stage in ("view", "light", "shade", "write", "total")
@@ -26,7 +26,7 @@ PICTURE = {"picture", "width", "height", "covered", "mean_radiance"} | {
 KEYS = {
     "precompute": MADE | DONE | {"lighting", "seconds.total"},
     "render": MADE | DONE | PICTURE | {"lighting"},
-    "relight": MADE - {"receivers"} | PICTURE | {"seconds.open", "seconds.environment"},
+    "relight": MADE - {"receivers"} | PICTURE | {"seconds.imports", "seconds.open", "seconds.environment"},
     "demo": MADE | DONE - {"seconds.load", "seconds.open"} | {"picture", "seconds.total"} | {
         "milliseconds.change_of_view", "milliseconds.change_of_light", "milliseconds.shading",
         "error.coefficients", "error.without_worst_5_percent",
