@@ -24,8 +24,8 @@ Form = Literal["svd", "symmetric", "normalised", "nonnegative"]
 # (`tests/benchmarks/pictures_by_terms.py`: six BRDFs under eight environments).
 COSINE = (0.5, 0.5)
 
-# Pairs of directions that are evaluated at a time, bytes of a matrix in double precision, and of any.
-_BLOCK, _DOUBLE, _LARGEST = 2**21, 2**28, 3 * 2**29
+# Directions of which all pairs with others are evaluated at once; bytes of a matrix in double precision, and of any.
+_ROWS, _DOUBLE, _LARGEST = 256, 2**28, 3 * 2**29
 
 
 @overload
@@ -157,14 +157,15 @@ class Samples:
 
     def _blocks(self, omega, other, channel, swapped=False) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Values [rows, other] of a few rows at a time, and which channels are alike in them."""
-        size = max(1, min(len(omega), _BLOCK // len(other)))
-        other, channel = as_array(other, self.dtype), as_array(channel)
+        # One shape, whatever is asked for: the last block overlaps the one before it, or its last row comes again.
+        size, last = min(_ROWS, len(self.omega)), len(omega) - 1
+        other, channel, swapped = as_array(other, self.dtype), as_array(channel), as_array(swapped)
         for start in range(0, len(omega), size):
-            # The last block overlaps the one before it, so that all are of one shape.
-            start = min(start, len(omega) - size)
-            rows = slice(start, start + size)
-            block, same = _evaluate(self.brdf, as_array(omega[rows], self.dtype), other, channel, swapped)
-            yield rows, np.asarray(block), np.asarray(same)
+            start = max(min(start, len(omega) - size), 0)
+            chosen = as_array(omega[np.minimum(np.arange(start, start + size), last)], self.dtype)
+            block, same = _evaluate(self.brdf, chosen, other, channel, swapped)
+            rows = slice(start, min(start + size, len(omega)))
+            yield rows, np.asarray(block)[: rows.stop - start], np.asarray(same)
 
     def joined(self, inside: np.ndarray, rest: np.ndarray) -> np.ndarray:
         """Texels [k, t] from values [·, k] at those on the hemisphere and those off it."""
@@ -179,11 +180,12 @@ class Samples:
 
 
 @eqx.filter_jit
-def _evaluate(brdf: Brdf, omega, other, channel, swapped: bool):
-    over_other = jax.vmap(brdf.evaluate, in_axes=(0, None) if swapped else (None, 0))
+def _evaluate(brdf: Brdf, omega, other, channel, swapped):
+    def pair(one, another):
+        return brdf.evaluate(jnp.where(swapped, another, one), jnp.where(swapped, one, another))
 
     def row(one):
-        return over_other(other, one) if swapped else over_other(one, other)
+        return jax.vmap(pair, in_axes=(None, 0))(one, other)
 
     values = jax.lax.map(row, omega)
     same = jnp.all(values[..., :, None] == values[..., None, :], axis=(0, 1))

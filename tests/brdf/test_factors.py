@@ -349,7 +349,7 @@ def test_an_unknown_form_and_a_matrix_too_large_are_refused():
 def test_blocks_and_single_precision_change_nothing_but_rounding(monkeypatch):
     omega = disc(16)[0]
     whole = product(factor(ANISOTROPIC, 3, 16), omega)
-    monkeypatch.setattr(module, "_BLOCK", 7 * len(omega) + 1)
+    monkeypatch.setattr(module, "_ROWS", 7)
     monkeypatch.setattr(module, "_DOUBLE", 0)
     np.testing.assert_allclose(product(factor(ANISOTROPIC, 3, 16), omega), whole, atol=1e-4 * whole.max())
 
