@@ -4,13 +4,14 @@ import dataclasses
 import functools
 import re
 
+import jax
 import numpy as np
 import pytest
 
 import fitting.commands
 from fitting import lafortune
 from fitting.brdf_samples import Grid, sample
-from jaxrelight import read_image, write_image
+from jaxrelight import load_scene, read_image, write_image
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.fitted import read_fitted
 from jaxrelight.brdf.files.sbrdf import read_sbrdf
@@ -23,6 +24,31 @@ from tests.fitting.synthetic import COARSE
 
 refusal = functools.partial(refusal_of, program="jaxrelight-fit")
 ONE = "--lobes", "1"
+
+
+SCENE = """
+[camera]
+origin = [0, 1, 3]
+target = [0, 0.1, 0]
+width = 12
+height = 10
+[environment]
+file = "sky.exr"
+[material.paint]
+type = "fitted"
+file = "{}"
+[[mesh]]
+primitive = "plane"
+resolution = 3
+material = "paint"
+"""
+
+
+def _of_a_scene(folder, file: str):
+    """What one line of a scene makes of a file."""
+    write_image(folder / "sky.exr", np.ones((2, 4, 3), np.float32))
+    (folder / "scene.toml").write_text(SCENE.format(file))
+    return load_scene(folder / "scene.toml").materials["paint"]
 
 
 def _documented(summary: dict):
@@ -40,6 +66,7 @@ def test_lafortune_writes_a_material_and_says_how_good_it_is(folder, run):
     made = read_fitted(folder / "paint.toml")
     assert isinstance(made, LobeSum)
     np.testing.assert_array_equal(np.float32(summary["exponents"]), made.exponent)
+    jax.tree.map(np.testing.assert_array_equal, _of_a_scene(folder, "paint.toml"), made)
     text = (folder / "paint.toml").read_text()
     assert "# data      paint.bsdf (RGL)" in text
     assert f"# residual  {100 * summary['residual']:.3g} % of the data" in text
@@ -83,23 +110,24 @@ class _Retro(Grid):
 
 @pytest.mark.parametrize("form", [pytest.param("svd", marks=pytest.mark.slow), "nonnegative"])
 def test_factors_are_those_of_the_material(folder, run, form):
-    dials = "--form", form, "--terms", "3", "--resolution", "8"
+    dials = "--form", form, "--terms", "3", "--resolution", "3"
     summary = summary_of(run("factors", "paint.bsdf", "-o", "paint.npz", *dials, "--json"))
     _documented(summary)
     made = read_fitted(folder / "paint.npz")
     assert isinstance(made, Separable)
-    assert made.light_maps.shape == (3, 3, 8, 8)
-    assert (summary["terms"], summary["resolution"], summary["bytes"]) == (3, 8, 2 * 4 * 9 * 64)
+    jax.tree.map(np.testing.assert_array_equal, _of_a_scene(folder, "paint.npz"), made)
+    assert made.light_maps.shape == (3, 3, 3, 3)
+    assert (summary["terms"], summary["resolution"], summary["bytes"]) == (3, 3, 2 * 4 * 9 * 9)
     assert (np.asarray(made.light_maps).min() < 0) == (form == "svd")
     # At the centre of a texel of either side, up to what three terms leave out.
-    omega = np.asarray([-0.125, 0.125, np.sqrt(1 - 2 / 64)], np.float32)
+    omega = np.asarray([-2 / 3, 0, np.sqrt(5 / 9)], np.float32)
     exact = sample(load_brdf(folder / "paint.bsdf").brdf, _Retro(omega=omega)).values[0]
     np.testing.assert_allclose(made.evaluate(omega, omega), exact, rtol=0.5)
     assert 0 < summary["residual"] < 1
 
 
 def test_factors_that_miss_much_say_so(folder, run):
-    short = "factors", "paint.bsdf", "-o", "paint.npz", "--resolution", "8", "--terms"
+    short = "factors", "paint.bsdf", "-o", "paint.npz", "--resolution", "3", "--terms"
     missed = summary_of(run(*short, "1", "--json"))["residual"]
     _, _, err = run(*short, "1")
     assert missed > 0.25
@@ -107,12 +135,12 @@ def test_factors_that_miss_much_say_so(folder, run):
 
 
 def test_an_error_asks_for_as_few_terms_as_it_takes(folder, run):
-    dials = "--resolution", "8", "--terms", "40", "--json"
+    dials = "--resolution", "3", "--terms", "9", "--json"
     few, more = (
         summary_of(run("factors", "paint.bsdf", "-o", "paint.npz", "--error", error, *dials))["terms"]
         for error in ("0.4", "0.2")
     )
-    assert 1 <= few < more < 40
+    assert 1 <= few < more < 9
 
 
 @pytest.mark.slow
@@ -168,7 +196,7 @@ def test_sbrdf_writes_coarser_levels(folder, run):
         ("factors paint.bsdf -o paint.npz --resolution 1", "--resolution must be at least 2"),
         ("factors paint.bsdf -o paint.npz --error 2", "must lie between 0 and 1"),
         ("factors paint.bsdf -o paint.npz --form normalised", "the normalised form has one term, not 4"),
-        ("factors paint.bsdf -o paint.npz --resolution 8 --form symmetric", "needs a reciprocal BRDF"),
+        ("factors paint.bsdf -o paint.npz --resolution 3 --form symmetric", "needs a reciprocal BRDF"),
         ("factors paint.bsdf -o paint.npz --form nonnegative --refine", "--refine is for the form svd"),
         ("sbrdf bump.npz -o maps.png", "cannot write maps of kind '.png'; use .exr"),
         ("sbrdf paint.bsdf -o maps.exr", "a stack of images is a .npz file"),
@@ -214,24 +242,7 @@ def test_wrong_command_lines_are_status_two(folder, run):
     assert "--lobes" in err
 
 
-SCENE = """
-[camera]
-origin = [0, 1, 3]
-target = [0, 0.1, 0]
-width = 12
-height = 10
-[environment]
-file = "sky.exr"
-[material.paint]
-type = "fitted"
-file = "{}"
-[[mesh]]
-primitive = "plane"
-resolution = 3
-material = "paint"
-"""
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [(("lafortune", *ONE), "paint.toml"), (("factors", "--resolution", "8"), "paint.npz")],
