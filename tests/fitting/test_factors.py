@@ -13,7 +13,6 @@ from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum
 from jaxrelight.brdf.parametrisation import DISC
 
-
 # Two channels: each is a program of its own.
 BRDF = LobeSum(*(as_array(part, jnp.float32) for part in ([0.4, 0.1], [[[-1, -1, 1]]], [[12]], [[0.9, 0.9]])))
 
