@@ -1,6 +1,7 @@
 """The public surface, what importing costs, and which modules may know which."""
 
 import ast
+import functools
 import graphlib
 import pathlib
 import re
@@ -75,6 +76,7 @@ PUBLIC = {
 }
 
 
+@functools.cache
 def _modules() -> dict[str, ast.Module]:
     """Every module of the package, parsed, by its name without the package's."""
     found = {}
@@ -96,6 +98,7 @@ def _imported(tree: ast.Module) -> set[str]:
     return names
 
 
+@functools.cache
 def _graph() -> dict[str, set[str]]:
     modules = _modules()
     graph = {}

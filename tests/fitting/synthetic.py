@@ -6,7 +6,11 @@ import functools
 import numpy as np
 import scipy.optimize
 
+from fitting.brdf_samples import Grid
 from fitting.chart import EXPONENTS
+
+# Of 256 pairs, as many as refits of texels compare functions in: one program fits to these and to those.
+COARSE = Grid(half=10, difference=8, azimuth=5)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,9 +11,9 @@ from fitting.weights import weights
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.lobes import lobe, lobe_sum
 from jaxrelight.errors import InputError
+from tests.fitting.synthetic import COARSE
 from tests.shared_data import shared
 
-COARSE = Grid(half=16, difference=8, azimuth=6)
 THREE = Options(lobes=3, per_channel=True)
 
 

@@ -6,14 +6,22 @@ import pathlib
 import numpy as np
 import pytest
 
-from fitting import cli
+from fitting import brdf_samples, cli, lafortune, sbrdf, sbrdf_levels
 from tests.brdf.files import writers
 from tests.commands.running import run
+from tests.fitting.synthetic import COARSE
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> pathlib.Path:
-    """Where commands run: a measured material and a stack of images."""
+    """Where commands run: a measured material and a stack of images.
+
+    All fits are of the same few items and samples, so that one program is compiled.
+    """
+    for module in (brdf_samples, lafortune):
+        monkeypatch.setattr(module, "Grid", lambda **_: COARSE)
+    monkeypatch.setattr(sbrdf, "CHUNK", 2)
+    monkeypatch.setattr(sbrdf_levels, "CHUNK", 2)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "paint.bsdf").write_bytes(writers.rgl(scale=0.5))
@@ -22,7 +30,7 @@ def folder(tmp_path, monkeypatch) -> pathlib.Path:
     return tmp_path
 
 
-def bump(count: int = 24, height: int = 3, width: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bump(count: int = 256, height: int = 3, width: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Images [n, h, w, 3], lights and normals of a bump of one glossy material, seen from +z."""
     lights = np.random.default_rng(0).normal(size=(count, 3))
     lights[:, 2] = np.abs(lights[:, 2]) + 0.5

@@ -1,15 +1,17 @@
 """jaxrelight-fit: what its commands write, say and refuse."""
 
+import dataclasses
 import functools
 import re
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 
 import fitting.commands
-from fitting import lafortune, sbrdf, sbrdf_levels
-from jaxrelight import read_image, write_image
+from fitting import lafortune
+from fitting.brdf_samples import Grid, sample
+from jaxrelight import load_scene, read_image, write_image
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.fitted import read_fitted
 from jaxrelight.brdf.files.sbrdf import read_sbrdf
@@ -18,9 +20,35 @@ from jaxrelight.brdf.separable import Separable
 from tests.brdf.files import writers
 from tests.commands import running
 from tests.commands.running import refusal_of, summary_of
+from tests.fitting.synthetic import COARSE
 
 refusal = functools.partial(refusal_of, program="jaxrelight-fit")
-ONE = "--lobes", "1", "--starts", "1"
+ONE = "--lobes", "1"
+
+
+SCENE = """
+[camera]
+origin = [0, 1, 3]
+target = [0, 0.1, 0]
+width = 12
+height = 10
+[environment]
+file = "sky.exr"
+[material.paint]
+type = "fitted"
+file = "{}"
+[[mesh]]
+primitive = "plane"
+resolution = 3
+material = "paint"
+"""
+
+
+def _of_a_scene(folder, file: str):
+    """What one line of a scene makes of a file."""
+    write_image(folder / "sky.exr", np.ones((2, 4, 3), np.float32))
+    (folder / "scene.toml").write_text(SCENE.format(file))
+    return load_scene(folder / "scene.toml").materials["paint"]
 
 
 def _documented(summary: dict):
@@ -38,6 +66,7 @@ def test_lafortune_writes_a_material_and_says_how_good_it_is(folder, run):
     made = read_fitted(folder / "paint.toml")
     assert isinstance(made, LobeSum)
     np.testing.assert_array_equal(np.float32(summary["exponents"]), made.exponent)
+    jax.tree.map(np.testing.assert_array_equal, _of_a_scene(folder, "paint.toml"), made)
     text = (folder / "paint.toml").read_text()
     assert "# data      paint.bsdf (RGL)" in text
     assert f"# residual  {100 * summary['residual']:.3g} % of the data" in text
@@ -68,25 +97,37 @@ def test_lafortune_in_words_and_with_every_choice(folder, run):
     assert "# held out  not known" in (folder / "paint.toml").read_text()
 
 
+@dataclasses.dataclass(frozen=True)
+class _Retro(Grid):
+    """One pair, of a direction with itself, as often as the command samples any: no other program is compiled."""
+
+    omega: np.ndarray = dataclasses.field(kw_only=True)
+
+    def directions(self):
+        """ω_i and ω_o."""
+        return (np.broadcast_to(self.omega, (len(COARSE.directions()[0]), 3)),) * 2
+
+
 @pytest.mark.parametrize("form", [pytest.param("svd", marks=pytest.mark.slow), "nonnegative"])
 def test_factors_are_those_of_the_material(folder, run, form):
-    dials = "--form", form, "--terms", "3", "--resolution", "8"
+    dials = "--form", form, "--terms", "3", "--resolution", "3"
     summary = summary_of(run("factors", "paint.bsdf", "-o", "paint.npz", *dials, "--json"))
     _documented(summary)
     made = read_fitted(folder / "paint.npz")
     assert isinstance(made, Separable)
-    assert made.light_maps.shape == (3, 3, 8, 8)
-    assert (summary["terms"], summary["resolution"], summary["bytes"]) == (3, 8, 2 * 4 * 9 * 64)
+    jax.tree.map(np.testing.assert_array_equal, _of_a_scene(folder, "paint.npz"), made)
+    assert made.light_maps.shape == (3, 3, 3, 3)
+    assert (summary["terms"], summary["resolution"], summary["bytes"]) == (3, 3, 2 * 4 * 9 * 9)
     assert (np.asarray(made.light_maps).min() < 0) == (form == "svd")
     # At the centre of a texel of either side, up to what three terms leave out.
-    omega = jnp.asarray([-0.125, 0.125, np.sqrt(1 - 2 / 64)], jnp.float32)
-    exact = load_brdf(folder / "paint.bsdf").brdf.evaluate(omega, omega)
+    omega = np.asarray([-2 / 3, 0, np.sqrt(5 / 9)], np.float32)
+    exact = sample(load_brdf(folder / "paint.bsdf").brdf, _Retro(omega=omega)).values[0]
     np.testing.assert_allclose(made.evaluate(omega, omega), exact, rtol=0.5)
     assert 0 < summary["residual"] < 1
 
 
 def test_factors_that_miss_much_say_so(folder, run):
-    short = "factors", "paint.bsdf", "-o", "paint.npz", "--resolution", "16", "--terms"
+    short = "factors", "paint.bsdf", "-o", "paint.npz", "--resolution", "3", "--terms"
     missed = summary_of(run(*short, "1", "--json"))["residual"]
     _, _, err = run(*short, "1")
     assert missed > 0.25
@@ -94,12 +135,12 @@ def test_factors_that_miss_much_say_so(folder, run):
 
 
 def test_an_error_asks_for_as_few_terms_as_it_takes(folder, run):
-    dials = "--resolution", "8", "--terms", "40", "--json"
+    dials = "--resolution", "3", "--terms", "9", "--json"
     few, more = (
         summary_of(run("factors", "paint.bsdf", "-o", "paint.npz", "--error", error, *dials))["terms"]
         for error in ("0.4", "0.2")
     )
-    assert 1 <= few < more < 40
+    assert 1 <= few < more < 9
 
 
 @pytest.mark.slow
@@ -111,9 +152,8 @@ def test_refined_factors_say_what_refining_did(folder, run):
     assert summary["refining_steps"] > 0
 
 
-def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
+def test_sbrdf_writes_maps_and_predicts_images(folder, run):
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr(sbrdf, "CHUNK", 8)
     arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--report", "report", "--storage", "half", "--json"
     summary = summary_of(run(*arguments))
     _documented(summary)
@@ -123,7 +163,7 @@ def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
     assert summary["bytes"] == (folder / "maps.exr").stat().st_size
     assert summary["levels"] == [[4, 3]]
     np.testing.assert_allclose(levels[0].lobes.exponent, 20, rtol=0.05)
-    assert (summary["texels"], summary["images"], summary["held_out_images"]) == (12, 21, 3)
+    assert (summary["texels"], summary["images"], summary["held_out_images"]) == (12, 224, 32)
     assert summary["verdicts"] == {"good": 12}
     assert summary["residual"] < 0.01
     assert summary["held_out"]["lobes"] < 0.01 < summary["held_out"]["lambert"]
@@ -135,9 +175,7 @@ def test_sbrdf_writes_maps_and_predicts_images(folder, run, monkeypatch):
 
 
 @pytest.mark.slow
-def test_sbrdf_writes_coarser_levels(folder, run, monkeypatch):
-    monkeypatch.setattr(sbrdf, "CHUNK", 8)
-    monkeypatch.setattr(sbrdf_levels, "CHUNK", 4)
+def test_sbrdf_writes_coarser_levels(folder, run):
     summary = summary_of(run("sbrdf", "bump.npz", "-o", "maps.exr", "--levels", "--storage", "8bit", "--json"))
     assert [level.lobes.shape for level in read_sbrdf(folder / "maps.exr")] == [(3, 4), (2, 2), (1, 1)]
     assert summary["levels"] == [[4, 3], [2, 2], [1, 1]]
@@ -158,7 +196,7 @@ def test_sbrdf_writes_coarser_levels(folder, run, monkeypatch):
         ("factors paint.bsdf -o paint.npz --resolution 1", "--resolution must be at least 2"),
         ("factors paint.bsdf -o paint.npz --error 2", "must lie between 0 and 1"),
         ("factors paint.bsdf -o paint.npz --form normalised", "the normalised form has one term, not 4"),
-        ("factors paint.bsdf -o paint.npz --form symmetric", "needs a reciprocal BRDF"),
+        ("factors paint.bsdf -o paint.npz --resolution 3 --form symmetric", "needs a reciprocal BRDF"),
         ("factors paint.bsdf -o paint.npz --form nonnegative --refine", "--refine is for the form svd"),
         ("sbrdf bump.npz -o maps.png", "cannot write maps of kind '.png'; use .exr"),
         ("sbrdf paint.bsdf -o maps.exr", "a stack of images is a .npz file"),
@@ -204,24 +242,7 @@ def test_wrong_command_lines_are_status_two(folder, run):
     assert "--lobes" in err
 
 
-SCENE = """
-[camera]
-origin = [0, 1, 3]
-target = [0, 0.1, 0]
-width = 12
-height = 10
-[environment]
-file = "sky.exr"
-[material.paint]
-type = "fitted"
-file = "{}"
-[[mesh]]
-primitive = "plane"
-resolution = 3
-material = "paint"
-"""
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [(("lafortune", *ONE), "paint.toml"), (("factors", "--resolution", "8"), "paint.npz")],
