@@ -15,7 +15,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.factors import COSINE, factor
 from jaxrelight.brdf.files import load_brdf
-from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum
 from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.brdf.separable import separable
@@ -87,7 +87,16 @@ def product(factors: Factored | Symmetric, omega) -> np.ndarray:
     return np.einsum("ikc,okc->ioc", *sides(factors, omega))
 
 
-GLOSSY = phong([0.2, 0.1, 0.3], [0.5, 0.4, 0.6], 8)
+# Two lobes in all that is sampled, so that programs are the same.
+NO_LOBE = lobe([0, 0, 1], 1, peak=0)
+
+
+def _phong(diffuse, specular, exponent):
+    scale = (exponent + 2) / (2 * np.pi) * np.asarray(specular)
+    return lobe_sum(diffuse, [lobe([-1, -1, 1], exponent, specular=scale), NO_LOBE])
+
+
+GLOSSY = _phong([0.2, 0.1, 0.3], [0.5, 0.4, 0.6], 8)
 
 
 def test_a_constant_brdf_is_one_texel_and_exact():
@@ -125,7 +134,7 @@ def test_all_terms_give_the_sampled_matrix_back():
 
 def test_a_brdf_of_rank_two_needs_two_terms_everywhere():
     """diffuse/π + z_i z_o, also beyond the disc's edge, where maps are continued."""
-    brdf = lobe_sum([0.3, 0.6, 0.9], [lobe([0, 0, 1], 1, peak=[1, 2, 3])])
+    brdf = lobe_sum([0.3, 0.6, 0.9], [lobe([0, 0, 1], 1, peak=[1, 2, 3]), NO_LOBE])
     factors = factor(brdf, 2, 32)
     z = np.array([0.95, 0.8, 0.6])
     omega = np.stack([np.sqrt(1 - z * z), 0 * z, z], axis=-1)
@@ -166,7 +175,7 @@ def test_light_and_view_maps_of_a_reciprocal_brdf_agree_up_to_sign():
 
 
 def test_channels_alike_have_maps_alike():
-    factors = factor(phong(0.2, 0.5, 8), 3, SIDE)
+    factors = factor(_phong(0.2, 0.5, 8), 3, SIDE)
     light, view = np.asarray(factors.light_maps), np.asarray(factors.view_maps)
     np.testing.assert_array_equal(light[:, 0], light[:, 1])
     np.testing.assert_array_equal(view[:, 0], view[:, 2])
@@ -226,7 +235,9 @@ def test_factors_are_shared_by_all_receivers():
 FORMS = pytest.mark.parametrize("form", ["svd", "symmetric", "normalised"])
 PARAMETRISATIONS = pytest.mark.parametrize("parametrisation", [DISC, POLAR], ids=["disc", "polar"])
 # Tight in one direction, and with a base that is no constant.
-ANISOTROPIC = ashikhmin_shirley([0.5, 0.2, 0.7], [0.3, 0.75, 0.05], 2, 12)
+ANISOTROPIC = lobe_sum(
+    [0.1, 0.05, 0.2], [lobe([-1, -0.6, 0.7], 5, peak=[3, 2, 1]), lobe([0.1, 0.2, 1], 2, peak=[0.2, 0.7, 0.1])]
+)
 
 
 @FORMS
@@ -234,7 +245,7 @@ ANISOTROPIC = ashikhmin_shirley([0.5, 0.2, 0.7], [0.3, 0.75, 0.05], 2, 12)
 @pytest.mark.parametrize("cosine", [(0, 0), (0.5, 0.5)])
 def test_a_product_is_recovered_by_one_term(form, parametrisation, cosine):
     """f = 3 (z_i z_o)² is of rank one."""
-    brdf = lobe_sum(0, [lobe([0, 0, 1], 2, peak=[3, 2, 1])])
+    brdf = lobe_sum(0, [lobe([0, 0, 1], 2, peak=[3, 2, 1]), NO_LOBE])
     factors = factor(brdf, 1, SIDE, form=form, parametrisation=parametrisation, cosine=cosine)
     omega, inside = parametrisation.directions(SIDE)
     expected = np.multiply.outer(np.multiply.outer(omega[inside, 2] ** 2, omega[inside, 2] ** 2), [3, 2, 1])
@@ -477,7 +488,7 @@ def test_the_non_negative_form_finds_a_matrix_that_is_one():
 
 
 def test_the_non_negative_form_of_nothing_and_of_what_is_negative():
-    black = factor(lobe_sum(0, [lobe([-1, -1, 1], 3, peak=0)]), 2, SIDE, form="nonnegative")
+    black = factor(lobe_sum(0, [NO_LOBE, NO_LOBE]), 2, SIDE, form="nonnegative")
     assert not np.asarray(black.light_maps).any()
     with pytest.raises(InputError, match="nowhere negative"):
         factor(_OneWay(-ONES), 1, SIDE, form="nonnegative", parametrisation=POLAR)
@@ -494,10 +505,10 @@ def test_as_few_terms_as_an_error_needs(form):
     def error(factors):
         return np.max(np.linalg.norm(product(factors, omega) - exact, axis=(0, 1)) / np.linalg.norm(exact, axis=(0, 1)))
 
-    found = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.1)
+    found = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.2)
     assert 1 < found.terms < 20
-    assert error(found) <= 0.1001
-    assert error(factor(GLOSSY, found.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.0999
+    assert error(found) <= 0.2001
+    assert error(factor(GLOSSY, found.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.1999
 
 
 def test_an_error_that_is_not_reached_is_told():
