@@ -225,7 +225,7 @@ def test_an_impossible_number_of_terms_is_refused(terms):
         factor(GLOSSY, terms, SIDE)
 
 
-ONE = jnp.ones((1, 1, 1, 1))
+ONE = jnp.asarray(np.ones((1, 1, 1, 1), np.float32))
 
 
 def test_factors_are_shared_by_all_receivers():
@@ -353,7 +353,7 @@ class _OneWay(Brdf):
         return False
 
 
-ONES = jnp.ones(3)
+ONES = jnp.asarray(np.ones(3, np.float32))
 
 
 def test_the_symmetric_form_refuses_what_is_not_symmetric():
