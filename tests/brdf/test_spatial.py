@@ -25,7 +25,7 @@ def maps(h=3, w=4, lobes=2, seed=0) -> SpatialLobes:
         rng.uniform(0, 2, (h, w, lobes, 3)),
         np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1),
     )
-    return SpatialLobes(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    return SpatialLobes(*(jnp.asarray(a.astype(np.float32)) for a in arrays))
 
 
 def host(tree):
