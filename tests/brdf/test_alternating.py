@@ -70,7 +70,8 @@ def test_gradients_in_the_parameters(x64):
     """Phong's singular values come in pairs, where those of a singular value decomposition are NaN."""
     with jax.enable_x64(False):
         start = factor(PHONG, TERMS, SIDE, cosine=(0, 0))
-    start, C = jax.tree.map(lambda leaf: np.asarray(leaf, float), start), np.asarray([[[-1.0, -0.9, 0.8]]])
+    start = jax.tree.map(lambda leaf: np.asarray(leaf, float), start)
+    C = jnp.asarray(np.asarray([[[-1.0, -0.9, 0.8]]]))
 
     @jax.jit
     def total(diffuse, exponent, scale):

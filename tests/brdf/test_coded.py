@@ -26,11 +26,10 @@ def values(spatial: SpatialLobes, count: int = 300) -> tuple[np.ndarray, np.ndar
     omega[0] = np.concatenate([omega[1, : count // 2] * [-1, -1, 1], omega[0, count // 2 :]])
     omega /= np.linalg.norm(omega, axis=-1, keepdims=True)
     omega[..., 2] = np.abs(omega[..., 2])
-    spatial = jax.tree.map(np.asarray, spatial)
-    arrays = (x[0] for x in (spatial.diffuse, spatial.C, spatial.exponent, spatial.scale))
-    return np.asarray(_values(*omega.astype(np.float32), *arrays)), spatial.scale.sum(axis=2)[0].max(axis=-1)[
-        :, None, None
-    ]
+    scale = np.asarray(spatial.scale)
+    arrays = (np.asarray(x)[0] for x in (spatial.diffuse, spatial.C, spatial.exponent, scale))
+    found = np.asarray(_values(*omega.astype(np.float32), *arrays))
+    return found, scale.sum(axis=2)[0].max(axis=-1)[:, None, None]
 
 
 @jax.jit

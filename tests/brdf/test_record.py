@@ -76,7 +76,7 @@ def test_what_comes_back_is_a_brdf():
         assert back.is_constant == brdf.is_constant
         assert isinstance(back, Brdf)
         assert back.channels == 3
-        omega = np.asarray([0.6, 0, 0.8], np.float32)
+        omega = jnp.asarray(np.asarray([0.6, 0, 0.8], np.float32))
         np.testing.assert_array_equal(back.evaluate(omega, omega), brdf.evaluate(omega, omega))
 
 

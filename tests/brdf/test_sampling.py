@@ -127,7 +127,7 @@ def test_a_lobe_of_any_exponent_is_sampled_about_its_peak(exponent):
 
 def test_a_black_brdf_is_sampled_by_the_cosine():
     for kind in (LobeSampler, CellSampler):
-        sampler = kind(lambert(0.0), OMEGA_O)
+        sampler = kind(lambert(0.0), jnp.asarray(OMEGA_O))
         np.testing.assert_allclose(sampler.pdf(np.asarray([0.6, 0, 0.8], np.float32)), 0.8 / np.pi, rtol=1e-5)
 
 

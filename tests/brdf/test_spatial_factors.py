@@ -110,7 +110,7 @@ def test_the_diffuse_part_is_a_component_of_its_own():
     np.testing.assert_array_equal(diffuse.weight[0].pixels, lobes.diffuse)
     assert diffuse.weight[1] is glossy.weight[0] is tint
     assert not np.asarray(glossy.brdf.diffuse).any()  # pyright: ignore[reportAttributeAccessIssue]
-    up = np.asarray([0.0, 0, 1], np.float32)
+    up = jnp.asarray(np.asarray([0, 0, 1], np.float32))
     np.testing.assert_allclose(diffuse.brdf.evaluate(up, up), 1 / np.pi)  # pyright: ignore[reportAttributeAccessIssue]
 
 

@@ -83,7 +83,7 @@ TEXELS, HAAR = cubemap.Texels(4), HaarFaces(4)
 find_resampling = functools.cache(latlong.area_resampling)
 
 
-def encoded(pixels, degrees=0.0, scale=1.0, basis=TEXELS) -> np.ndarray:
+def encoded(pixels, degrees=0.0, scale=1.0, basis: Any = TEXELS) -> np.ndarray:
     """Texels of a 6×4² cube map, as `Relighter.light` finds them."""
     pixels = coarsened(pixels, 4)
     resampling = find_resampling(*pixels.shape[:2], 4)
