@@ -1,5 +1,6 @@
 """Zonal means: against sums over all pairs of directions, and what any mean must do."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ def directions(height: int) -> np.ndarray:
     return latlong.directions(u, v).reshape(-1, 3)
 
 
-@pytest.mark.parametrize(("exponent", "height"), [(0, 16), (1, 16), (7.5, 16), (1000, 32)])
+@pytest.mark.parametrize(("exponent", "height"), [(0, 32), (1, 32), (7.5, 32), (1000, 32)])
 def test_means_are_the_sums_over_all_directions(exponent, height):
     pixels, omega = sky(height), directions(height)
     cosine = omega @ omega.T
@@ -43,25 +44,27 @@ def test_a_sharp_kernel_is_followed_as_far_as_it_goes():
 
 @pytest.mark.parametrize("exponent", [0, 0.3, 20, 1e4])
 def test_a_constant_stays_and_nothing_becomes_negative(exponent):
-    np.testing.assert_allclose(zonal_means(jnp.full((32, 64, 1), 3.0), exponent), 3, rtol=1e-5)
-    sun = np.zeros((32, 64, 1), np.float32)
+    np.testing.assert_allclose(zonal_means(jnp.asarray(np.full((32, 64, 3), 3, np.float32)), exponent), 3, rtol=1e-5)
+    sun = np.zeros((32, 64, 3), np.float32)
     sun[3, 60] = 1e5
-    found = np.asarray(zonal_means(jnp.asarray(sun), exponent))
-    assert found.min() >= -1e-6 * found.max()
-    assert found.argmax() == sun.argmax() or exponent == 0
+    for found in np.moveaxis(np.asarray(zonal_means(jnp.asarray(sun), exponent)), -1, 0):
+        assert found.min() >= -1e-6 * found.max()
+        assert found.argmax() == sun[..., 0].argmax() or exponent == 0
 
 
 def test_turning_commutes_and_the_map_upside_down_gives_means_upside_down():
-    pixels = jnp.asarray(sky())
-    found = zonal_means(pixels, 5)
-    np.testing.assert_allclose(zonal_means(jnp.roll(pixels, 7, axis=1), 5), jnp.roll(found, 7, axis=1), rtol=1e-4)
-    np.testing.assert_allclose(zonal_means(pixels[::-1], 5), found[::-1], rtol=1e-4)
+    pixels = sky(32)
+    found, turned, upside_down = (
+        np.asarray(zonal_means(jnp.asarray(each), 5)) for each in (pixels, np.roll(pixels, 7, axis=1), pixels[::-1])
+    )
+    np.testing.assert_allclose(turned, np.roll(found, 7, axis=1), rtol=1e-4)
+    np.testing.assert_allclose(upside_down, found[::-1], rtol=1e-4)
 
 
 def test_gradients_are_right(x64):
-    check_grads(lambda p: zonal_means(p, 3.0), (jnp.asarray(sky(4), float),), order=1)
+    check_grads(jax.jit(lambda p: zonal_means(p, 3.0)), (sky(4).astype(float),), order=1)
 
 
 def test_an_odd_number_of_rows_is_refused():
     with pytest.raises(ValueError, match="even number of rows, not 5"):
-        zonal_means(jnp.ones((5, 10, 3)), 1)
+        zonal_means(jnp.asarray(np.ones((5, 10, 3))), 1)

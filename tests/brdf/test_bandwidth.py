@@ -14,7 +14,25 @@ from jaxrelight.brdf.bandwidth import (
     to_square,
 )
 from jaxrelight.brdf.lobes import lambert, phong
+from jaxrelight.brdf.material import white_phong
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
+from jaxrelight.brdf.texture import Texture
+
+UP = np.asarray([0, 0, 1], np.float32)
+
+
+@jax.jit
+def _looked_up(table, omega_i, omega_o):
+    return table.look_up(omega_i, omega_o)
+
+
+@jax.jit
+def _closed_form(brdf, omega_i, omega_o):
+    return lobe_bandwidth(brdf, omega_i, omega_o)
+
+
+def look_up(table, omega_i, omega_o) -> float:
+    return float(_looked_up(table, np.asarray(omega_i, np.float32), np.asarray(omega_o, np.float32)))
 
 
 def test_square_and_back():
@@ -22,7 +40,7 @@ def test_square_and_back():
     omega = from_square(a, b)
     assert (omega[:, 2] >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(omega, axis=1), 1, rtol=1e-12)
-    found = jax.vmap(to_square)(jnp.asarray(omega, jnp.float32))
+    found = jax.jit(jax.vmap(to_square))(omega.astype(np.float32))
     np.testing.assert_allclose(np.stack(found), np.stack([a, b]), atol=1e-6)
     # Cells differ in solid angle by no more than a few times.
     areas = np.linalg.norm(np.cross(from_square(a + 1e-5, b) - omega, from_square(a, b + 1e-5) - omega), axis=1) * 1e10
@@ -34,8 +52,7 @@ def test_lambert_has_none():
     table = bandwidth_table(lambert(0.5), 64)
     assert table.isotropic
     assert not np.asarray(table.values).any()
-    up = jnp.asarray([0.0, 0, 1])
-    assert float(lobe_bandwidth(lambert(0.5), up, up)) == 0
+    assert float(_closed_form(lambert(0.5), UP, UP)) == 0
 
 
 @pytest.mark.parametrize(
@@ -43,34 +60,31 @@ def test_lambert_has_none():
 )
 def test_lobes_by_wavelets_are_near_their_closed_form(exponent: int):
     """Within what the square stretches angles, √3, and half an octave, which is what a wavelet's level tells."""
-    brdf = phong(0, 0.5, exponent)
-    omega_o = jnp.asarray([0.6, 0, 0.8])
-    mirror = jnp.asarray([-0.6, 0, 0.8])
-    table = bandwidth_table(brdf, 256)
-    found, wanted = float(table.look_up(mirror, omega_o)), float(lobe_bandwidth(brdf, mirror, omega_o))
+    brdf = white_phong(exponent)
+    omega_o, mirror = np.asarray([[0.6, 0, 0.8], [-0.6, 0, 0.8]], np.float32)
+    found, wanted = look_up(bandwidth_table(brdf, 128), mirror, omega_o), float(_closed_form(brdf, mirror, omega_o))
     assert wanted / 2.45 <= found <= 2.45 * wanted
 
 
 def test_sharper_lobes_have_more():
-    up = jnp.asarray([0.0, 0, 1])
-    found = [float(bandwidth_table(phong(0, 0.5, n), 64).look_up(up, up)) for n in (2, 20, 200)]
+    found = [look_up(bandwidth_table(phong(0, 0.5, n), 64), UP, UP) for n in (2, 20, 200)]
     assert found == sorted(found)
     assert found[2] > 3 * found[0]
 
 
 def test_an_isotropic_table_turns():
     table = bandwidth_table(phong(0, 0.5, 50), 64)
-    one = table.look_up(jnp.asarray([-0.6, 0, 0.8]), jnp.asarray([0.6, 0, 0.8]))
-    other = table.look_up(jnp.asarray([0, -0.6, 0.8]), jnp.asarray([0, 0.6, 0.8]))
-    assert float(one) == float(other) > 0
+    one = look_up(table, [-0.6, 0, 0.8], [0.6, 0, 0.8])
+    other = look_up(table, [0, -0.6, 0.8], [0, 0.6, 0.8])
+    assert one == other > 0
 
 
 def test_principal_components_hold_most():
     table = bandwidth_table(phong(0.1, 0.4, 30), 64)
-    errors = [compressed(table, k)[1] for k in (0, 2, 4, 8, 16)]
+    errors = [compressed(table, k)[1] for k in (0, 4, 8, 16)]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1e-5
-    assert errors[3] < 0.5 * errors[0]
+    assert errors[2] < 0.5 * errors[0]
 
 
 def spatial(exponent) -> PackedLobes:
@@ -78,13 +92,12 @@ def spatial(exponent) -> PackedLobes:
     h, w = exponent.shape
 
     def everywhere(value):
-        value = jnp.asarray(value, jnp.float32)
-        return jnp.broadcast_to(value, (h, w, *value.shape))
+        return jnp.asarray(np.broadcast_to(np.asarray(value, np.float32), (h, w, *np.shape(value))))
 
     return SpatialLobes(
         diffuse=everywhere([0.2] * 3),
         C=everywhere([[-1, -1, 1]]),
-        exponent=jnp.asarray(exponent[..., None], jnp.float32),
+        exponent=jnp.asarray(exponent[..., None].astype(np.float32)),
         scale=everywhere([[0.3] * 3]),
         axis=everywhere([1, 0]),
     ).packed()
@@ -96,11 +109,12 @@ def test_maps_vary_where_any_of_their_parameters_does():
     found = np.asarray(texture_bandwidth(spatial(exponent)).pixels)[..., 0]
     assert found[4:28, 4:28].min() > 0.3
     assert found[44:52, 44:52].max() < 0.1
-    assert not np.asarray(texture_bandwidth(spatial(np.full((16, 16), 20.0))).pixels).any()
+    assert not np.asarray(texture_bandwidth(spatial(np.full((64, 64), 20.0))).pixels).any()
 
 
 @pytest.mark.parametrize("shape", [(1, 64), (1, 1), (40, 24)])
 def test_maps_of_any_size_have_a_bandwidth(shape):
-    found = texture_bandwidth(spatial(np.random.default_rng(0).uniform(1, 100, shape)))
+    pixels = np.random.default_rng(0).uniform(1, 100, (*shape, 13)).astype(np.float32)
+    found = texture_bandwidth(PackedLobes(Texture(jnp.asarray(pixels)), lobes=1, channels=3))
     assert found.shape == shape
-    assert np.isfinite(found.pixels).all()
+    assert np.isfinite(np.asarray(found.pixels)).all()

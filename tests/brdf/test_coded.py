@@ -16,7 +16,7 @@ from tests.brdf.test_spatial import maps
 
 def lobes_of(exponent: float, texels: int = 64, lobes: int = 1) -> SpatialLobes:
     made = maps(1, texels, lobes, seed=int(exponent))
-    return dataclasses.replace(made, exponent=jnp.full_like(made.exponent, exponent))
+    return dataclasses.replace(made, exponent=jnp.asarray(np.full(made.exponent.shape, exponent, np.float32)))
 
 
 def values(spatial: SpatialLobes, count: int = 300) -> tuple[np.ndarray, np.ndarray]:
@@ -26,14 +26,19 @@ def values(spatial: SpatialLobes, count: int = 300) -> tuple[np.ndarray, np.ndar
     omega[0] = np.concatenate([omega[1, : count // 2] * [-1, -1, 1], omega[0, count // 2 :]])
     omega /= np.linalg.norm(omega, axis=-1, keepdims=True)
     omega[..., 2] = np.abs(omega[..., 2])
-    omega_i, omega_o = jnp.asarray(omega, jnp.float32)
+    scale = np.asarray(spatial.scale)
+    arrays = (np.asarray(x)[0] for x in (spatial.diffuse, spatial.C, spatial.exponent, scale))
+    found = np.asarray(_values(*omega.astype(np.float32), *arrays))
+    return found, scale.sum(axis=2)[0].max(axis=-1)[:, None, None]
 
+
+@jax.jit
+def _values(omega_i, omega_o, *arrays):
     def of_texel(diffuse, C, exponent, scale):
         brdf = LobeSum(diffuse, C[:, None], exponent[:, None], scale)
         return jax.vmap(brdf.evaluate)(omega_i, omega_o)
 
-    arrays = (x[0] for x in (spatial.diffuse, spatial.C, spatial.exponent, spatial.scale))
-    return np.asarray(jax.vmap(of_texel)(*arrays)), np.asarray(spatial.scale.sum(axis=2)[0].max(axis=-1))[:, None, None]
+    return jax.vmap(of_texel)(*arrays)
 
 
 @pytest.mark.parametrize("exponent", [1, 20, 200, 5000])
@@ -77,8 +82,8 @@ def test_extremes_come_back(storage):
     scale = np.array([[1, 0, 1e-6], [1, 1, 1], [500, 10, 1], [0, 0, 0], [1, 2, 3], [4000, 1, 0]], np.float32)
     axis = np.tile([np.cos(1), np.sin(1)], (6, 1))
     arrays = np.full((6, 3), 0.25), C[:, None], n[:, None], scale[:, None], axis
-    lobes = SpatialLobes(*(jnp.asarray(a, jnp.float32)[None] for a in arrays))
-    back = decode(encode(lobes, storage), 1)
+    lobes = SpatialLobes(*(jnp.asarray(a[None].astype(np.float32)) for a in arrays))
+    back = jax.tree.map(np.asarray, decode(encode(lobes, storage), 1))
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(back))
     np.testing.assert_array_equal(np.sign(back.C[0, [0, 1, 2, 4], 0]), np.sign(C[[0, 1, 2, 4]]))
     np.testing.assert_allclose(np.abs(back.C[0, [0, 2, 3, 4, 5], 0]).max(axis=-1), 1, rtol=1e-6)
@@ -93,7 +98,7 @@ def test_extremes_come_back(storage):
 @pytest.mark.parametrize(("storage", "most"), [("half", 65504), ("8bit", 1e5)])
 def test_exponents_beyond_the_largest_are_held_and_reflect_what_they_did(storage, most):
     lobes = lobes_of(3e5, 8)
-    back = decode(encode(lobes, storage), 1)
+    back, lobes = (jax.tree.map(np.asarray, one) for one in (decode(encode(lobes, storage), 1), lobes))
     np.testing.assert_allclose(back.exponent, most, rtol=1e-3)
     held, given = (np.asarray(one.scale / (one.exponent + 2)[..., None]) for one in (back, lobes))
     np.testing.assert_allclose(held, given, atol=given.max() / 200)
@@ -108,6 +113,6 @@ def test_exponents_beyond_the_largest_are_held_and_reflect_what_they_did(storage
 )
 def test_what_has_no_place_is_refused(storage, change, message):
     lobes = maps(2, 2, 1)
-    arrays = {name: jnp.full_like(getattr(lobes, name), value) for name, value in change.items()}
+    arrays = {name: jnp.asarray(np.full_like(getattr(lobes, name), value)) for name, value in change.items()}
     with pytest.raises(InputError, match=message):
         encode(dataclasses.replace(lobes, **arrays), storage)

@@ -15,7 +15,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.factors import COSINE, factor
 from jaxrelight.brdf.files import load_brdf
-from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum
 from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.brdf.separable import separable
@@ -36,28 +36,50 @@ def disc(side: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x, y, z], axis=-1)[inside], inside
 
 
+# Directions and terms that one call takes: with these there is one program for each kind of BRDF or map.
+COUNT, TERMS = 64, 8
+
+
 @jax.jit
-def evaluate(brdf, omega_i, omega_o):
-    """All pairs [i, o, c]."""
+def _evaluate(brdf, omega_i, omega_o):
     over_o = jax.vmap(brdf.evaluate, in_axes=(None, 0))
     return jax.vmap(over_o, in_axes=(0, None))(omega_i, omega_o)
 
 
 @jax.jit
-def look_up(factors, omega):
+def _look_up(factors, omega):
     return jax.vmap(factors.light_side)(omega), jax.vmap(factors.view_side)(omega)
+
+
+def _padded(array, multiple: int) -> np.ndarray:
+    """Single precision, with zeros behind the last entry."""
+    array = np.asarray(array, np.float32)
+    return np.pad(array, [(0, -len(array) % multiple)] + [(0, 0)] * (array.ndim - 1))
+
+
+def evaluate(brdf, omega_i, omega_o) -> np.ndarray:
+    """All pairs [i, o, c] of no more than `COUNT` directions."""
+    found = _evaluate(brdf, _padded(omega_i, COUNT), _padded(omega_o, COUNT))
+    return np.asarray(found, float)[: len(omega_i), : len(omega_o)]
 
 
 def sampled(brdf, side: int) -> np.ndarray:
     """The BRDF between all directions of the disc: [i, o, c]."""
-    omega = jnp.asarray(disc(side)[0], jnp.float32)
-    return np.asarray(evaluate(brdf, omega, omega), float)
+    return evaluate(brdf, disc(side)[0], disc(side)[0])
 
 
 def sides(factors: Factored | Symmetric, omega) -> tuple[np.ndarray, np.ndarray]:
     """Light and view side [direction, k, c] by look-up."""
-    light, view = look_up(factors, jnp.asarray(omega, jnp.float32))
-    return np.asarray(light, float), np.asarray(view, float)
+    omega, count, terms = _padded(omega, COUNT), len(omega), factors.terms
+    leaves, structure = jax.tree.flatten(factors)
+    leaves = [_padded(leaf, TERMS) for leaf in leaves]
+    columns = []
+    for k in range(0, terms, TERMS):
+        part = jax.tree.unflatten(structure, [leaf[k : k + TERMS] for leaf in leaves])
+        rows = [_look_up(part, omega[start : start + COUNT]) for start in range(0, len(omega), COUNT)]
+        columns.append([np.concatenate(side) for side in zip(*rows, strict=True)])
+    light, view = (np.concatenate(side, axis=1)[:count, :terms] for side in zip(*columns, strict=True))
+    return light.astype(float), view.astype(float)
 
 
 def product(factors: Factored | Symmetric, omega) -> np.ndarray:
@@ -65,7 +87,16 @@ def product(factors: Factored | Symmetric, omega) -> np.ndarray:
     return np.einsum("ikc,okc->ioc", *sides(factors, omega))
 
 
-GLOSSY = phong([0.2, 0.1, 0.3], [0.5, 0.4, 0.6], 8)
+# Two lobes in all that is sampled, so that programs are the same.
+NO_LOBE = lobe([0, 0, 1], 1, peak=0)
+
+
+def _phong(diffuse, specular, exponent):
+    scale = (exponent + 2) / (2 * np.pi) * np.asarray(specular)
+    return lobe_sum(diffuse, [lobe([-1, -1, 1], exponent, specular=scale), NO_LOBE])
+
+
+GLOSSY = _phong([0.2, 0.1, 0.3], [0.5, 0.4, 0.6], 8)
 
 
 def test_a_constant_brdf_is_one_texel_and_exact():
@@ -103,7 +134,7 @@ def test_all_terms_give_the_sampled_matrix_back():
 
 def test_a_brdf_of_rank_two_needs_two_terms_everywhere():
     """diffuse/π + z_i z_o, also beyond the disc's edge, where maps are continued."""
-    brdf = lobe_sum([0.3, 0.6, 0.9], [lobe([0, 0, 1], 1, peak=[1, 2, 3])])
+    brdf = lobe_sum([0.3, 0.6, 0.9], [lobe([0, 0, 1], 1, peak=[1, 2, 3]), NO_LOBE])
     factors = factor(brdf, 2, 32)
     z = np.array([0.95, 0.8, 0.6])
     omega = np.stack([np.sqrt(1 - z * z), 0 * z, z], axis=-1)
@@ -126,9 +157,7 @@ def test_texels_beyond_the_edge_are_those_of_the_edge():
     light = np.asarray(factors.light_maps, float)[:, :, 0, 0]
     view = np.asarray(factors.view_maps, float)[:, :, 0, 0]
     light_sides, view_sides = sides(factors, omega)
-    expected = np.asarray(evaluate(GLOSSY, jnp.asarray([corner], jnp.float32), jnp.asarray(omega, jnp.float32)), float)[
-        0
-    ]
+    expected = evaluate(GLOSSY, [corner], omega)[0]
     np.testing.assert_allclose(np.einsum("kc,okc->oc", light, view_sides), expected, atol=2e-4)
     np.testing.assert_allclose(np.einsum("ikc,kc->ic", light_sides, view), expected, atol=2e-4)
 
@@ -146,20 +175,21 @@ def test_light_and_view_maps_of_a_reciprocal_brdf_agree_up_to_sign():
 
 
 def test_channels_alike_have_maps_alike():
-    factors = factor(phong(0.2, 0.5, 8), 3, SIDE)
-    np.testing.assert_array_equal(factors.light_maps[:, 0], factors.light_maps[:, 1])
-    np.testing.assert_array_equal(factors.view_maps[:, 0], factors.view_maps[:, 2])
+    factors = factor(_phong(0.2, 0.5, 8), 3, SIDE)
+    light, view = np.asarray(factors.light_maps), np.asarray(factors.view_maps)
+    np.testing.assert_array_equal(light[:, 0], light[:, 1])
+    np.testing.assert_array_equal(view[:, 0], view[:, 2])
 
 
 def test_look_up_is_bilinear():
     """Exact at texel centres, in the order y, x; the mean half-way between them."""
     side = 4
-    maps = jnp.arange(2.0 * 3 * side * side).reshape(2, 3, side, side)
-    factors = Factored(maps, -maps)
+    maps = np.arange(2.0 * 3 * side * side).reshape(2, 3, side, side)
+    factors = Factored(maps, -maps)  # pyright: ignore[reportArgumentType]
     centre = (np.arange(side) + 0.5) * 2 / side - 1
     omega = np.array([[x, y, 0.1] for y in centre for x in centre])
     light, view = sides(factors, omega)
-    np.testing.assert_allclose(light, np.asarray(maps).reshape(2, 3, -1).transpose(2, 0, 1), atol=1e-5)
+    np.testing.assert_allclose(light, maps.reshape(2, 3, -1).transpose(2, 0, 1), atol=1e-5)
     np.testing.assert_allclose(view, -light, atol=1e-5)
     light, _ = sides(
         factors, [[(centre[1] + centre[2]) / 2, centre[3], 0], [centre[0], (centre[0] + centre[1]) / 2, 0]]
@@ -169,20 +199,22 @@ def test_look_up_is_bilinear():
 
 
 def test_look_up_at_the_horizon_stays_inside_the_map():
-    maps = jnp.arange(1.0, 17).reshape(1, 1, 4, 4)
-    light, _ = sides(Factored(maps, maps), [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [1, 1, 0], [-1, -1, 0]])
-    np.testing.assert_allclose(light[:, 0, 0], [10, 7, 14.5, 2.5, 16, 1], atol=1e-5)
+    maps = np.arange(1.0, 17).reshape(1, 1, 4, 4) * np.ones((1, 3, 1, 1))
+    factors = Factored(maps, maps)  # pyright: ignore[reportArgumentType]
+    light, _ = sides(factors, [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [1, 1, 0], [-1, -1, 0]])
+    for channel in range(3):
+        np.testing.assert_allclose(light[:, 0, channel], [10, 7, 14.5, 2.5, 16, 1], atol=1e-5)
 
 
 def test_look_up_has_gradients_in_maps_and_direction():
-    maps = jnp.asarray(np.random.default_rng(0).normal(size=(2, 3, 5, 5)), jnp.float32)
+    maps = np.random.default_rng(0).normal(size=(2, 3, 5, 5)).astype(np.float32)
 
     def total(maps, omega):
         return jnp.sum(Factored(maps, maps).light_side(omega))
 
     slopes = jax.jit(jax.grad(total, argnums=(0, 1)))
     for omega in ([0.13, -0.44, 0.5], [1.0, 0, 0], [0, 0, 1.0]):
-        for slope in slopes(maps, jnp.asarray(omega)):
+        for slope in map(np.asarray, slopes(maps, np.asarray(omega, np.float32))):
             assert np.isfinite(slope).all()
             assert np.abs(slope).max() > 0
 
@@ -193,14 +225,19 @@ def test_an_impossible_number_of_terms_is_refused(terms):
         factor(GLOSSY, terms, SIDE)
 
 
+ONE = jnp.asarray(np.ones((1, 1, 1, 1), np.float32))
+
+
 def test_factors_are_shared_by_all_receivers():
-    assert jax.tree.leaves(Factored(jnp.ones((1, 1, 1, 1)), jnp.ones((1, 1, 1, 1))).per_receiver) == [False, False]
+    assert jax.tree.leaves(Factored(ONE, ONE).per_receiver) == [False, False]
 
 
 FORMS = pytest.mark.parametrize("form", ["svd", "symmetric", "normalised"])
 PARAMETRISATIONS = pytest.mark.parametrize("parametrisation", [DISC, POLAR], ids=["disc", "polar"])
 # Tight in one direction, and with a base that is no constant.
-ANISOTROPIC = ashikhmin_shirley([0.5, 0.2, 0.7], [0.3, 0.75, 0.05], 2, 12)
+ANISOTROPIC = lobe_sum(
+    [0.1, 0.05, 0.2], [lobe([-1, -0.6, 0.7], 5, peak=[3, 2, 1]), lobe([0.1, 0.2, 1], 2, peak=[0.2, 0.7, 0.1])]
+)
 
 
 @FORMS
@@ -208,9 +245,9 @@ ANISOTROPIC = ashikhmin_shirley([0.5, 0.2, 0.7], [0.3, 0.75, 0.05], 2, 12)
 @pytest.mark.parametrize("cosine", [(0, 0), (0.5, 0.5)])
 def test_a_product_is_recovered_by_one_term(form, parametrisation, cosine):
     """f = 3 (z_i z_o)² is of rank one."""
-    brdf = lobe_sum(0, [lobe([0, 0, 1], 2, peak=[3, 2, 1])])
-    factors = factor(brdf, 1, 24, form=form, parametrisation=parametrisation, cosine=cosine)
-    omega, inside = parametrisation.directions(24)
+    brdf = lobe_sum(0, [lobe([0, 0, 1], 2, peak=[3, 2, 1]), NO_LOBE])
+    factors = factor(brdf, 1, SIDE, form=form, parametrisation=parametrisation, cosine=cosine)
+    omega, inside = parametrisation.directions(SIDE)
     expected = np.multiply.outer(np.multiply.outer(omega[inside, 2] ** 2, omega[inside, 2] ** 2), [3, 2, 1])
     np.testing.assert_allclose(product(factors, omega[inside]), expected, atol=3e-4)
 
@@ -223,7 +260,7 @@ def test_the_weighted_error_is_the_least_there_is(form, parametrisation, cosine)
     omega, inside = parametrisation.directions(SIDE)
     omega, weight = omega[inside], np.sqrt(parametrisation.measure(SIDE)[inside])
     weights = [weight * omega[:, 2] ** power for power in cosine]
-    exact = np.asarray(evaluate(ANISOTROPIC, *[jnp.asarray(omega, jnp.float32)] * 2), float)
+    exact = evaluate(ANISOTROPIC, omega, omega)
     matrix = exact * np.multiply.outer(*weights)[..., None]
     sigma = np.stack([np.linalg.svd(matrix[..., c], compute_uv=False) for c in range(3)])
     errors = []
@@ -241,16 +278,27 @@ def test_by_default_some_of_the_cosine_is_folded_in_and_light_and_view_are_alike
     assert COSINE[0] == COSINE[1]
     given = factor(ANISOTROPIC, 3, SIDE, cosine=COSINE)
     np.testing.assert_array_equal(given.light_maps, factor(ANISOTROPIC, 3, SIDE).light_maps)
-    assert np.abs(given.light_maps - factor(ANISOTROPIC, 3, SIDE, cosine=(0, 0)).light_maps).max() > 0.1
+    plain = np.asarray(factor(ANISOTROPIC, 3, SIDE, cosine=(0, 0)).light_maps)
+    assert np.abs(np.asarray(given.light_maps) - plain).max() > 0.1
 
 
-def test_by_default_a_measured_paint_keeps_its_light():
+def _made_paint():
+    """As measured ones are, it is large at grazing angles."""
+    return ashikhmin_shirley(0.02, 0.2, 60, 60)
+
+
+def _measured_paint():
+    return load_brdf(shared("data", "brdf", "rgl_cc_ibiza_sunset_rgb.bsdf")).brdf
+
+
+@pytest.mark.parametrize(
+    ("paint", "side"), [(_made_paint, 16), pytest.param(_measured_paint, 24, marks=pytest.mark.slow)]
+)
+def test_by_default_a_paint_keeps_its_light(paint, side):
     """It is largest at grazing angles, which took all terms if they counted as much as they are large."""
-    paint = load_brdf(shared("data", "brdf", "rgl_cc_ibiza_sunset_rgb.bsdf")).brdf
-    omega_o = jnp.asarray([0.48, 0, 0.8773])
-    reflected = jax.jit(lambda brdf: directional_albedo(brdf, omega_o)[0])
-    little, some = (separable(factors) for factors in (factor(paint, 4, 24, cosine=(0.25, 0.25)), factor(paint, 4, 24)))
-    whole, plain, few = (float(reflected(brdf)) for brdf in (paint, little, some))
+    brdf, omega_o = paint(), np.asarray([0.48, 0, 0.8773], np.float32)
+    approximations = (separable(factor(brdf, 4, side, cosine=(0.25, 0.25))), separable(factor(brdf, 4, side)))
+    whole, plain, few = (np.asarray(directional_albedo(one, omega_o))[0] for one in (brdf, *approximations))
     assert plain < 0.01 * whole
     assert 0.7 * whole < few < 1.3 * whole
 
@@ -273,7 +321,7 @@ def test_the_symmetric_form_is_reciprocal_between_any_directions(parametrisation
     vectors = np.random.default_rng(0).normal(size=(40, 3))
     vectors[:, 2] = np.abs(vectors[:, 2])
     omega = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    factors = factor(ANISOTROPIC, 3, 16, form="symmetric", parametrisation=parametrisation)
+    factors = factor(ANISOTROPIC, 3, SIDE, form="symmetric", parametrisation=parametrisation)
     assert isinstance(factors, Symmetric)
     assert (factors.terms, factors.channels) == (3, 3)
     found = product(factors, omega)
@@ -284,7 +332,7 @@ def test_the_symmetric_form_is_reciprocal_between_any_directions(parametrisation
 def test_the_symmetric_form_is_the_singular_one():
     """Also at directions beyond the outermost texels."""
     omega = np.array([[0, 0, 1], [0.6, 0, 0.8], [-0.36, 0.48, 0.8], [1, 0, 0], [0.7, -0.7, 0.14]])
-    one, other = (product(factor(ANISOTROPIC, 4, 16, form=form), omega) for form in ("symmetric", "svd"))
+    one, other = (product(factor(ANISOTROPIC, 4, SIDE, form=form), omega) for form in ("symmetric", "svd"))
     np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(one).max())
 
 
@@ -305,13 +353,18 @@ class _OneWay(Brdf):
         return False
 
 
+ONES = jnp.asarray(np.ones(3, np.float32))
+
+
 def test_the_symmetric_form_refuses_what_is_not_symmetric():
+    """On the polar map, which has no texels off the hemisphere."""
     with pytest.raises(InputError, match="needs a reciprocal BRDF"):
-        factor(_OneWay(jnp.ones(3)), 1, SIDE, form="symmetric")
+        factor(_OneWay(ONES), 1, SIDE, form="symmetric", parametrisation=POLAR)
     with pytest.raises(InputError, match="same power of the cosine"):
         factor(GLOSSY, 1, SIDE, form="symmetric", cosine=(1, 0))
-    found = product(factor(_OneWay(jnp.ones(3)), 1, SIDE), disc(SIDE)[0])
-    np.testing.assert_allclose(found[:, 0, 0], disc(SIDE)[0][:, 2], rtol=1e-5)
+    omega, _ = POLAR.directions(SIDE)
+    found = product(factor(_OneWay(ONES), 1, SIDE, parametrisation=POLAR), omega)
+    np.testing.assert_allclose(found[:, 0, 0], omega[:, 2], rtol=1e-5)
 
 
 @PARAMETRISATIONS
@@ -323,7 +376,7 @@ def test_the_normalised_form_is_never_negative_and_keeps_the_reflectance(paramet
     assert np.asarray(factors.view_maps).min() >= 0
     omega, inside = parametrisation.directions(SIDE)
     omega, weight = omega[inside], parametrisation.measure(SIDE)[inside]
-    exact = np.asarray(evaluate(ANISOTROPIC, *[jnp.asarray(omega, jnp.float32)] * 2), float)
+    exact = evaluate(ANISOTROPIC, omega, omega)
     mean = np.einsum("ioc,o->ic", exact, weight / weight.sum())
     np.testing.assert_allclose(sides(factors, omega)[0][:, 0], mean, rtol=1e-4)
     found = np.einsum("ioc,o->ic", product(factors, omega), weight / weight.sum())
@@ -347,11 +400,11 @@ def test_an_unknown_form_and_a_matrix_too_large_are_refused():
 
 
 def test_blocks_and_single_precision_change_nothing_but_rounding(monkeypatch):
-    omega = disc(16)[0]
-    whole = product(factor(ANISOTROPIC, 3, 16), omega)
+    omega = disc(SIDE)[0]
+    whole = product(factor(ANISOTROPIC, 3, SIDE), omega)
     monkeypatch.setattr(module, "_ROWS", 7)
     monkeypatch.setattr(module, "_DOUBLE", 0)
-    np.testing.assert_allclose(product(factor(ANISOTROPIC, 3, 16), omega), whole, atol=1e-4 * whole.max())
+    np.testing.assert_allclose(product(factor(ANISOTROPIC, 3, SIDE), omega), whole, atol=1e-4 * whole.max())
 
 
 class _Counted(Brdf):
@@ -374,10 +427,10 @@ class _Counted(Brdf):
 
 
 def test_another_brdf_of_the_same_kind_is_not_compiled_again():
-    factor(_Counted(jnp.asarray([1.0, 2, 3])), 2, SIDE)
+    factor(_Counted(jnp.asarray([1.0, 2, 3])), 2, SIDE, parametrisation=POLAR)
     traces = len(_Counted.traces)
     assert traces
-    factor(_Counted(jnp.asarray([3.0, 3, 1])), 2, SIDE)
+    factor(_Counted(jnp.asarray([3.0, 3, 1])), 2, SIDE, parametrisation=POLAR)
     assert len(_Counted.traces) == traces
 
 
@@ -387,8 +440,9 @@ def test_peaks_at_the_horizon_do_not_spoil_what_lies_before_it():
     z, azimuth = rng.random((2, 2000)), 2 * np.pi * rng.random((2, 2000))
     omega = np.stack([np.sqrt(1 - z**2) * np.cos(azimuth), np.sqrt(1 - z**2) * np.sin(azimuth), z], axis=-1)
     brdf = ashikhmin_shirley(0.5, 0.75, 2, 4)
-    light, view = (sides(factor(brdf, 208, 16), one)[i] for i, one in enumerate(omega))
-    exact = np.asarray(jax.jit(jax.vmap(brdf.evaluate))(*jnp.asarray(omega, jnp.float32)), float)
+    factors = factor(brdf, 208, 16)
+    light, view = (sides(factors, one)[i] for i, one in enumerate(omega))
+    exact = np.asarray(jax.jit(jax.vmap(brdf.evaluate))(*omega.astype(np.float32)), float)
     weight = (z[0] ** 2 * z[1])[:, None]
     error = np.sum(weight * (np.sum(light * view, axis=1) - exact) ** 2) / np.sum(weight * exact**2)
     assert np.sqrt(error) < 0.3
@@ -401,7 +455,7 @@ def test_peaks_at_the_horizon_do_not_spoil_what_lies_before_it():
 def test_the_non_negative_form_is_never_negative_and_nearly_as_near(parametrisation):
     omega, inside = parametrisation.directions(SIDE)
     omega = omega[inside]
-    exact = np.asarray(evaluate(ANISOTROPIC, *[jnp.asarray(omega, jnp.float32)] * 2), float)
+    exact = evaluate(ANISOTROPIC, omega, omega)
 
     def error(form, terms):
         factors = factor(ANISOTROPIC, terms, SIDE, form=form, parametrisation=parametrisation, cosine=(0.5, 0.5))
@@ -434,10 +488,10 @@ def test_the_non_negative_form_finds_a_matrix_that_is_one():
 
 
 def test_the_non_negative_form_of_nothing_and_of_what_is_negative():
-    black = factor(lobe_sum(0, [lobe([-1, -1, 1], 3, peak=0)]), 2, SIDE, form="nonnegative")
-    assert not np.any(black.light_maps)
+    black = factor(lobe_sum(0, [NO_LOBE, NO_LOBE]), 2, SIDE, form="nonnegative")
+    assert not np.asarray(black.light_maps).any()
     with pytest.raises(InputError, match="nowhere negative"):
-        factor(_OneWay(-jnp.ones(3)), 1, SIDE, form="nonnegative")
+        factor(_OneWay(-ONES), 1, SIDE, form="nonnegative", parametrisation=POLAR)
 
 
 # ---- by error --------------------------------------------------------------------------------------------------------
@@ -451,10 +505,10 @@ def test_as_few_terms_as_an_error_needs(form):
     def error(factors):
         return np.max(np.linalg.norm(product(factors, omega) - exact, axis=(0, 1)) / np.linalg.norm(exact, axis=(0, 1)))
 
-    found = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.1)
+    found = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.2)
     assert 1 < found.terms < 20
-    assert error(found) <= 0.1001
-    assert error(factor(GLOSSY, found.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.0999
+    assert error(found) <= 0.2001
+    assert error(factor(GLOSSY, found.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.1999
 
 
 def test_an_error_that_is_not_reached_is_told():

@@ -1,6 +1,7 @@
 """Maps of lobes: what lies in a texel, and what lies between texels."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
 
-OMEGA = jnp.asarray([0.6, 0, 0.8]), jnp.asarray([-0.48, 0.36, 0.8])
+OMEGA = np.asarray([[0.6, 0, 0.8], [-0.48, 0.36, 0.8]], np.float32)
 
 
 def maps(h=3, w=4, lobes=2, seed=0) -> SpatialLobes:
@@ -24,49 +25,76 @@ def maps(h=3, w=4, lobes=2, seed=0) -> SpatialLobes:
         rng.uniform(0, 2, (h, w, lobes, 3)),
         np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1),
     )
-    return SpatialLobes(*(jnp.asarray(a, jnp.float32) for a in arrays))
+    return SpatialLobes(*(jnp.asarray(a.astype(np.float32)) for a in arrays))
+
+
+def host(tree):
+    """The same with NumPy's arrays, of which parts are taken without compiling anything."""
+    return jax.tree.map(np.asarray, tree)
+
+
+@functools.partial(jax.jit, static_argnames="minification")
+def at(spatial, uv, footprint=0.0, minification="none"):
+    """Lobes at texture coordinates, what they reflect, and the weights of the texels around."""
+    lobes = spatial.packed(minification)
+    found = lobes.at(uv, footprint)
+    return found, found.evaluate(*OMEGA), lobes.around(uv, footprint)[1]
+
+
+def reflected(spatial, uv, footprint=0.0, minification="none") -> np.ndarray:
+    return np.asarray(at(spatial, np.asarray(uv, np.float32), np.float32(footprint), minification)[1])
+
+
+def of_texel(spatial, row: int, column: int) -> np.ndarray:
+    """What the lobes of a texel reflect."""
+    spatial = host(spatial)
+    cosine, sine = spatial.axis[row, column]
+    own = LobeSum(
+        spatial.diffuse[row, column],
+        spatial.C[row, column][:, None],
+        spatial.exponent[row, column][:, None],
+        spatial.scale[row, column],
+        np.arctan2(sine, cosine) / 2,
+    )
+    return np.asarray(own.evaluate(*OMEGA))
 
 
 def test_at_the_centre_of_a_texel_lie_its_own_parameters():
-    spatial = maps()
+    spatial = host(maps())
     for row, column in ((0, 0), (1, 3), (2, 1)):
-        uv = jnp.asarray([(column + 0.5) / 4, 1 - (row + 0.5) / 3])
-        axis = spatial.axis[row, column]
-        own = LobeSum(
-            spatial.diffuse[row, column],
-            spatial.C[row, column][:, None],
-            spatial.exponent[row, column][:, None],
-            spatial.scale[row, column],
-            jnp.arctan2(axis[1], axis[0]) / 2,
-        )
-        np.testing.assert_allclose(spatial.at(uv).evaluate(*OMEGA), own.evaluate(*OMEGA), rtol=2e-4)
+        found = reflected(spatial, [(column + 0.5) / 4, 1 - (row + 0.5) / 3])
+        np.testing.assert_allclose(found, of_texel(spatial, row, column), rtol=2e-4)
 
 
 def test_arrays_lead_with_the_coordinates():
-    uv = jnp.asarray(np.random.default_rng(1).random((5, 2)), jnp.float32)
+    uv = np.random.default_rng(1).random((5, 2)).astype(np.float32)
     found = maps().at(uv)
     assert found.C.shape == (5, 2, 1, 3)
-    one = maps().at(uv[3])
-    np.testing.assert_allclose(found.exponent[3], one.exponent)
+    one, _, _ = at(maps(), uv[3], np.float32(0))
+    np.testing.assert_allclose(np.asarray(found.exponent)[3], one.exponent)
+
+
+# Of two texels side by side, as arguments that need no conversion.
+MIDDLE, ALL = np.asarray([0.5, 0.5], np.float32), np.float32(0)
 
 
 def test_between_texels_lobes_count_by_the_light_they_reflect():
     """Exponents by their logarithms, and C; which stays of unit length. What a lobe reflects is interpolated itself."""
-    spatial, middle = maps(1, 2), jnp.asarray([0.5, 0.5])
-    between = spatial.at(middle)
-    share = np.asarray(spatial.scale[0] / (spatial.exponent[0] + 2)[..., None])
+    spatial = host(maps(1, 2))
+    between = host(at(spatial, MIDDLE, ALL)[0])
+    share = spatial.scale[0] / (spatial.exponent[0] + 2)[..., None]
     weight = share.mean(axis=-1)
     wanted = np.exp(np.average(np.log(spatial.exponent[0]), axis=0, weights=weight))
     np.testing.assert_allclose(between.exponent[:, 0], wanted, rtol=1e-4)
     np.testing.assert_allclose(between.scale / (between.exponent + 2), share.mean(axis=0), rtol=1e-4)
-    C = np.average(np.asarray(spatial.C[0]), axis=0, weights=np.repeat(weight[..., None], 3, axis=-1))
+    C = np.average(spatial.C[0], axis=0, weights=np.repeat(weight[..., None], 3, axis=-1))
     np.testing.assert_allclose(between.C[:, 0], C / np.abs(C).max(axis=-1, keepdims=True), rtol=1e-4)
 
 
 def test_a_black_lobe_leaves_its_neighbour_as_it_is():
-    spatial = maps(1, 2)
-    half = dataclasses.replace(spatial, scale=spatial.scale.at[0, 0].set(0))
-    between, own = half.at(jnp.asarray([0.5, 0.5])), half.at(jnp.asarray([0.75, 0.5]))
+    half = jax.tree.map(np.array, maps(1, 2))
+    half.scale[0, 0] = 0
+    between, own = (host(at(half, np.asarray([u, 0.5], np.float32), ALL)[0]) for u in (0.5, 0.75))
     np.testing.assert_allclose(between.exponent, own.exponent, rtol=1e-4)
     np.testing.assert_allclose(between.C, own.C, atol=1e-6)
     np.testing.assert_allclose(between.scale, own.scale / 2, rtol=1e-4)
@@ -76,23 +104,23 @@ def test_directions_of_anisotropy_meet_the_shorter_way():
     """85° and −85°, which differ by 10°, meet at 90° and not at 0°."""
     spatial = maps(1, 2)
     angle = np.radians([85, -85])
-    axis = jnp.asarray(np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1)[None], jnp.float32)
-    turn = SpatialLobes(spatial.diffuse, spatial.C, spatial.exponent, spatial.scale, axis).at(jnp.asarray([0.5, 0.5]))
-    assert turn.turn is not None
-    np.testing.assert_allclose(abs(np.degrees(turn.turn)), 90, atol=1e-3)
+    axis = np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1)[None].astype(np.float32)
+    found, _, _ = at(dataclasses.replace(spatial, axis=axis), MIDDLE, ALL)
+    assert found.turn is not None
+    np.testing.assert_allclose(abs(np.degrees(np.asarray(found.turn))), 90, atol=1e-3)
 
 
 def test_gradients_are_finite_also_where_texels_cancel():
-    spatial = maps(1, 2)
-    opposite = jnp.stack([spatial.C[:, 0], -spatial.C[:, 0]], axis=1)
-    axis = jnp.asarray([[[1.0, 0], [-1, 0]]])
+    spatial = host(maps(1, 2))
+    opposite = np.stack([spatial.C[:, 0], -spatial.C[:, 0]], axis=1)
+    axis = np.asarray([[[1.0, 0], [-1, 0]]], np.float32)
 
     def total(C, axis, exponent):
         whole = SpatialLobes(spatial.diffuse, C, exponent, spatial.scale, axis)
-        return jnp.sum(whole.at(jnp.asarray([0.5, 0.5])).evaluate(*OMEGA))
+        return jnp.sum(whole.at(MIDDLE).evaluate(*OMEGA))
 
-    for slope in jax.grad(total, argnums=(0, 1, 2))(opposite, axis, spatial.exponent * 0):
-        assert np.isfinite(slope).all()
+    for slope in jax.jit(jax.grad(total, argnums=(0, 1, 2)))(opposite, axis, spatial.exponent * 0):
+        assert np.isfinite(np.asarray(slope)).all()
 
 
 def test_a_material_of_maps_needs_texture_coordinates():
@@ -102,31 +130,28 @@ def test_a_material_of_maps_needs_texture_coordinates():
 
 
 def test_levels_of_equal_texels_are_averaged_parameters():
-    whole = maps(4, 4, seed=3)
-    flat = jax.tree.map(lambda x: jnp.broadcast_to(x[:1, :1], x.shape), whole)
-    coarser = tuple(jax.tree.map(lambda x, n=n: x[:n, :n], flat) for n in (2, 1))
-    spatial = SpatialLobes(flat.diffuse, flat.C, flat.exponent, flat.scale, flat.axis, coarser=coarser)
-    uv = jnp.asarray([0.4, 0.7])
-    wanted = spatial.packed("none").at(uv).evaluate(*OMEGA)
+    flat = jax.tree.map(lambda x: np.tile(np.asarray(x), (4, 4, *[1] * (x.ndim - 2))), maps(1, 1, seed=3))
+    spatial = dataclasses.replace(flat, coarser=tuple(jax.tree.map(lambda x, n=n: x[:n, :n], flat) for n in (2, 1)))
+    wanted = of_texel(flat, 0, 0)
     for minification in ("levels", "averaged", "none"):
-        found = spatial.packed(minification).at(uv, jnp.asarray(0.3)).evaluate(*OMEGA)
-        np.testing.assert_allclose(found, wanted, rtol=1e-4)
+        np.testing.assert_allclose(reflected(spatial, [0.4, 0.7], 0.3, minification), wanted, rtol=1e-4)
 
 
 def test_levels_are_seen_of_far_texels():
-    far, near = maps(1, 1, seed=5), maps(2, 2, seed=6)
-    spatial = SpatialLobes(near.diffuse, near.C, near.exponent, near.scale, near.axis, coarser=(far,))
-    uv = jnp.asarray([0.25, 0.75])
+    far, middle, near = maps(1, 1, seed=5), maps(2, 2, seed=7), maps(4, 4, seed=6)
+    spatial = dataclasses.replace(near, coarser=(middle, far))
+    # The centres of a texel of either level: of (1, 2) of 4×4, and of (0, 1) of 2×2.
+    finer, coarser = np.asarray([[0.625, 0.625], [0.75, 0.75]], np.float32)
 
-    def seen(minification, footprint):
-        lobes = spatial.packed(minification)
-        _, weights = lobes.around(uv, jnp.asarray(footprint))
-        np.testing.assert_allclose(weights.sum(), 1, rtol=1e-6)
+    def seen(minification, footprint, uv=finer):
+        _, value, weights = at(spatial, uv, np.float32(footprint), minification)
+        np.testing.assert_allclose(np.sum(weights), 1, rtol=1e-6)
         assert len(weights) == (4 if minification == "none" else 8)
-        return np.asarray(lobes.at(uv, jnp.asarray(footprint)).evaluate(*OMEGA))
+        return np.asarray(value)
 
-    np.testing.assert_allclose(seen("levels", 1.0), far.at(uv).evaluate(*OMEGA), rtol=1e-4)
-    np.testing.assert_allclose(seen("levels", 0.25), near.at(uv).evaluate(*OMEGA), rtol=1e-4)
-    np.testing.assert_allclose(seen("none", 1.0), near.at(uv).evaluate(*OMEGA), rtol=1e-4)
-    np.testing.assert_allclose(seen("averaged", 1.0), near.packed("averaged").at(uv, 1.0).evaluate(*OMEGA), rtol=1e-6)
+    np.testing.assert_allclose(seen("levels", 1.0), of_texel(far, 0, 0), rtol=1e-4)
+    np.testing.assert_allclose(seen("levels", 0.25, coarser), of_texel(middle, 0, 1), rtol=1e-4)
+    np.testing.assert_allclose(seen("levels", 1 / 16), of_texel(near, 1, 2), rtol=1e-4)
+    np.testing.assert_allclose(seen("none", 1.0), of_texel(near, 1, 2), rtol=1e-4)
+    np.testing.assert_allclose(seen("averaged", 1.0), reflected(near, finer, 1.0, "averaged"), rtol=1e-6)
     assert np.abs(seen("averaged", 1.0) - seen("levels", 1.0)).max() > 0.01

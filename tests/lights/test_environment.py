@@ -1,12 +1,11 @@
 """Environments: what is mended, what is refused, and where the energy goes."""
 
+import functools
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.basis.haar import HaarFaces
@@ -77,14 +76,23 @@ def test_other_shapes_are_refused(shape):
         environment(np.ones(shape))
 
 
-SIZES = [(1, 1), (1, 2), (3, 5), (5, 3), (7, 1), (16, 31), (1, 16384), (600, 3), (9, 4097)]
+SIZES = [(1, 1), (1, 2), (3, 5), (7, 1), (1, 16384), (600, 3), (9, 4097)]
+SIZES += [pytest.param(*size, marks=pytest.mark.slow) for size in ((5, 3), (16, 31))]
+# Every way to encode, as one program for all numbers.
+TEXELS, HAAR = cubemap.Texels(4), HaarFaces(4)
+find_resampling = functools.cache(latlong.area_resampling)
 
 
-def encoded(pixels, degrees=0.0):
+def encoded(pixels, degrees=0.0, scale=1.0, basis: Any = TEXELS) -> np.ndarray:
     """Texels of a 6×4² cube map, as `Relighter.light` finds them."""
     pixels = coarsened(pixels, 4)
-    resampling = latlong.area_resampling(*pixels.shape[:2], 4)
-    return np.asarray(any_encode(jnp.asarray(pixels), degrees, 1.0, resampling, cubemap.Texels(4)), float)
+    resampling = find_resampling(*pixels.shape[:2], 4)
+    return np.asarray(any_encode(pixels, np.float32(degrees), np.float32(scale), resampling, basis), float)
+
+
+@jax.jit
+def decoded(light):
+    return HAAR.decode(light.T).T
 
 
 @pytest.mark.parametrize(("height", "width"), SIZES)
@@ -129,7 +137,7 @@ def test_eight_bit_pictures_are_decoded_from_srgb(tmp_path, name):
 @pytest.mark.parametrize("name", ["sky.exr", "sky.hdr"])
 def test_bad_pixels_from_file_to_light(tmp_path, name):
     """NaN, infinite and negative pixels of a file: refused, or repaired and counted, so that the light is finite."""
-    pixels = sky()
+    pixels = sky(16)
     pixels[1, 2], pixels[3, 4], pixels[5, 6] = np.nan, np.inf, -1
     write_image(tmp_path / name, pixels)
     if name == "sky.hdr":  # which can hold none of them: NaN and negative are written as 0, infinity as the largest
@@ -191,50 +199,53 @@ def test_coarsened_keeps_constants_and_the_energy_of_odd_sizes():
     )  # pairs of rows and columns
 
 
-@pytest.fixture(scope="module")
-def resampling():
-    return latlong.area_resampling(16, 32, 4)
-
-
-def test_a_sun_over_a_dim_sky_keeps_both(resampling):
+def test_a_sun_over_a_dim_sky_keeps_both():
     """Everywhere but at the sun the texels are those of the sky alone, and the sums are those of float64."""
     dim = 1e-3 * sky(16)
     sunny = dim.copy()
     sunny[4, 20] = 1e5
-    texels = {
-        name: np.asarray(any_encode(jnp.asarray(pixels), 0.0, 1.0, resampling, cubemap.Texels(4)), float)
-        for name, pixels in (("dim", dim), ("sunny", sunny))
-    }
+    texels = {name: encoded(pixels) for name, pixels in (("dim", dim), ("sunny", sunny))}
     for name, pixels in (("dim", dim), ("sunny", sunny)):
         np.testing.assert_allclose(cubemap.solid_angles(4) @ texels[name], energy(pixels), rtol=1e-5)
     lit = texels["sunny"][:, 0] > 1
     assert 0 < lit.sum() <= 4
     np.testing.assert_allclose(texels["sunny"][~lit], texels["dim"][~lit], rtol=1e-6)
     # In Haar coefficients the sky survives to the rounding of float32 beside the sun.
-    basis = HaarFaces(4)
-    light = any_encode(jnp.asarray(sunny), 0.0, 1.0, resampling, basis)
-    back = np.asarray(basis.decode(light.T).T, float)
+    back = np.asarray(decoded(encoded(sunny, basis=HAAR).astype(np.float32)), float)
     np.testing.assert_allclose(back, texels["sunny"], atol=1e-6 * texels["sunny"].max())
 
 
-def test_encode_is_scaled_rotated_and_linear(resampling):
-    basis = HaarFaces(4)
-    one, other = (jnp.asarray(sky(16, seed)) for seed in (0, 1))
-    whole = any_encode(one + 2 * other, 90.0, 3.0, resampling, basis)
+def test_encode_is_scaled_rotated_and_linear():
+    one, other = sky(16, 0), sky(16, 1)
+    whole = encoded(one + 2 * other, 90, 3, HAAR)
     assert whole.shape == (96, 3)
-    turned = [any_encode(jnp.roll(pixels, -8, axis=1), 0.0, 1.0, resampling, basis) for pixels in (one, other)]
-    np.testing.assert_allclose(whole, 3 * (turned[0] + 2 * turned[1]), atol=1e-5 * float(jnp.abs(whole).max()))
-    np.testing.assert_allclose(
-        basis.decode(whole.T).T, resampling.apply(3 * jnp.roll(one + 2 * other, -8, axis=1)), rtol=1e-4
-    )
+    turned = [encoded(np.roll(pixels, -8, axis=1), basis=HAAR) for pixels in (one, other)]
+    np.testing.assert_allclose(whole, 3 * (turned[0] + 2 * turned[1]), atol=1e-5 * np.abs(whole).max())
+    texels = encoded(3 * np.roll(one + 2 * other, -8, axis=1))
+    np.testing.assert_allclose(decoded(whole.astype(np.float32)), texels, rtol=1e-4)
 
 
-def test_encode_has_gradients_in_pixels_rotation_and_scale(x64, resampling):
+def test_encode_has_gradients_in_pixels_rotation_and_scale(x64):
+    """Forwards as central differences have it, and backwards as forwards."""
+    resampling, random = find_resampling(16, 32, 4), np.random.default_rng(0)
+    given = sky(16).astype(float), np.asarray(33.0), np.asarray(1.5)
+    way = random.normal(size=(16, 32, 3)), np.asarray(2.0), np.asarray(0.3)
+    back = random.normal(size=(96, 3))
+
     @jax.jit
     def value(pixels, degrees, scale):
-        return any_encode(pixels, degrees, scale, resampling, HaarFaces(4))
+        return encode(pixels, degrees, scale, resampling, HAAR)
 
-    check_grads(value, (jnp.asarray(sky(16), jnp.float64), 33.0, 1.5), 1, ["fwd", "rev"])
+    @jax.jit
+    def slopes(given, way, back):
+        return jax.jvp(value, given, way)[1], jax.vjp(value, *given)[1](back)
+
+    forwards, backwards = slopes(given, way, back)
+    ends = [value(*(x + step * w for x, w in zip(given, way, strict=True))) for step in (1e-6, -1e-6)]
+    difference = (np.asarray(ends[0]) - np.asarray(ends[1])) / 2e-6
+    np.testing.assert_allclose(forwards, difference, atol=1e-6 * np.abs(difference).max())
+    along = sum(np.vdot(x, np.asarray(y)) for x, y in zip(way, backwards, strict=True))
+    np.testing.assert_allclose(along, np.vdot(back, np.asarray(forwards)), rtol=1e-9)
 
 
 def test_a_map_without_pixels_is_refused():

@@ -1,10 +1,8 @@
 """Projected images: what a camera in the same place would see, nothing beside it."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 
 from jaxrelight import Camera, InputError
 from jaxrelight.lights.projector import Projector, projector
@@ -13,11 +11,16 @@ PLACE = (0.3, 2.0, -1.0), (0.5, 0.0, 0.4)
 IMAGE = np.random.default_rng(0).uniform(1, 2, (3, 5, 3))
 
 
+@jax.jit
+def _at(light, places):
+    return light.at(places)
+
+
 def test_pixels_fall_where_a_camera_sees_them():
     light = projector(*PLACE, IMAGE, 40.0)
     directions = Camera(*PLACE, fov_y=40.0, width=5, height=3).directions().reshape(-1, 3)
     distance = np.linspace(1, 3, 15)[:, None]
-    found = light.at(jnp.asarray(np.array(PLACE[0]) + distance * directions, jnp.float32))
+    found = _at(light, (np.array(PLACE[0]) + distance * directions).astype(np.float32))
     np.testing.assert_allclose(found.irradiance, IMAGE.reshape(-1, 3) / distance**2, rtol=1e-4)
     np.testing.assert_allclose(found.omega_i, -directions, atol=1e-5)
     np.testing.assert_allclose(found.distance, distance[:, 0], rtol=1e-5)
@@ -25,22 +28,38 @@ def test_pixels_fall_where_a_camera_sees_them():
 
 def test_nothing_falls_beside_the_image_or_behind():
     light = projector((0, 0, 0), (0, 0, 1), np.ones((2, 2, 3)), 90.0)
-    places = jnp.asarray([[0, 0, 1], [0.99, 0.99, 1], [1.01, 0, 1], [0, -1.01, 1], [0, 0, -1], [1, 0, 0]])
-    np.testing.assert_array_equal(light.at(places).irradiance[:, 0] > 0, [True, True, False, False, False, False])
+    places = [[0, 0, 1], [0.99, 0.99, 1], [1.01, 0, 1], [0, -1.01, 1], [0, 0, -1], [1, 0, 0]]
+    found = np.asarray(_at(light, np.asarray(places, np.float32)).irradiance)
+    np.testing.assert_array_equal(found[:, 0] > 0, [True, True, False, False, False, False])
 
 
-def test_gradients_are_right(x64):
-    places = jnp.asarray([[0.17, 0.23, 1], [-0.3, 0.1, 1.2]], float)
-    given = [jnp.asarray(one, float) for one in ((0.01, 0, 0), (0.1, 0, 1), (0, 1, 0), 80.0, IMAGE)]
-    irradiance = jax.jit(lambda *numbers: Projector(*numbers).at(places).irradiance)
-    check_grads(irradiance, given, order=1, modes=["rev", "fwd"])
+@jax.jit
+def _slopes(given, way, back, places):
+    def irradiance(*numbers):
+        return Projector(*numbers).at(places).irradiance
+
+    return jax.jvp(irradiance, given, way)[1], jax.vjp(irradiance, *given)[1](back)
 
 
-def test_gradients_are_finite_at_the_lens_behind_and_beside():
-    places = jnp.asarray([[0, 0, 0], [0, 0, -1], [0, 1, 0], [9, 0, 1.0]])
-    light = projector((0, 0, 0), (0, 0, 1), IMAGE, 60.0)
-    found = jax.jit(jax.grad(lambda light: light.at(places).irradiance.sum()))(light)
-    assert all(np.isfinite(part).all() for part in jax.tree.leaves(found))
+def test_gradients_are_right_and_finite_at_the_lens_behind_and_beside(x64):
+    """Forwards as central differences have it, and backwards as forwards."""
+    random = np.random.default_rng(1)
+    given = tuple(np.asarray(one, float) for one in ((0.01, 0, 0), (0.1, 0, 1), (0, 1, 0), 80.0, IMAGE))
+    way = tuple(random.normal(size=one.shape) for one in given)
+    places, back = (
+        np.asarray([[0.17, 0.23, 1], [-0.3, 0.1, 1.2], [0.1, 0.2, 2], [0.07, -0.11, 1.5]]),
+        random.normal(size=(4, 3)),
+    )
+    forwards, backwards = _slopes(given, way, back, places)
+    ends = [
+        np.asarray(_at(Projector(*(x + step * w for x, w in zip(given, way, strict=True))), places).irradiance)  # pyright: ignore[reportArgumentType]
+        for step in (1e-6, -1e-6)
+    ]
+    np.testing.assert_allclose(forwards, (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-7)
+    along = sum(np.vdot(x, np.asarray(y)) for x, y in zip(way, backwards, strict=True))
+    np.testing.assert_allclose(along, np.vdot(back, np.asarray(forwards)), rtol=1e-9)
+    beside = np.asarray([[0.01, 0, 0], [0.01, 0, -1], [0, 1, 0], [9, 0, 1.0]])
+    assert all(np.isfinite(np.asarray(part)).all() for part in jax.tree.leaves(_slopes(given, way, back, beside)))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,7 @@
 """An environment's pyramid: means by solid angle, what is looked up, and bandwidth."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,23 +12,45 @@ from jaxrelight.basis import latlong
 from jaxrelight.lights.pyramid import cells, light_bandwidth, light_pyramid
 
 _RANDOM = np.random.default_rng(1).normal(size=(200, 3))
-DIRECTIONS = jnp.asarray(_RANDOM / np.linalg.norm(_RANDOM, axis=1, keepdims=True), jnp.float32)
+DIRECTIONS = (_RANDOM / np.linalg.norm(_RANDOM, axis=1, keepdims=True)).astype(np.float32)
 
 
 def noise(rows: int) -> np.ndarray:
     return np.random.default_rng(0).random((rows, 2 * rows, 3)).astype(np.float32)
 
 
-def found(light, solid_angle):
-    return np.asarray(jax.vmap(lambda one: light.radiance_at(one, solid_angle))(DIRECTIONS))
+@jax.jit
+def _found(light, solid_angle):
+    return jax.vmap(lambda one: light.radiance_at(one, solid_angle))(DIRECTIONS)
+
+
+def found(light, solid_angle) -> np.ndarray:
+    return np.asarray(_found(light, None if solid_angle is None else np.float32(solid_angle)))
+
+
+@jax.jit
+def _details(light, solid_angle):
+    return jax.vmap(lambda one: light.detail_at(one, solid_angle))(DIRECTIONS)
+
+
+@jax.jit
+def _looked_up(of, u, v, solid_angle):
+    return jax.vmap(lambda u, v: of.look_up(u, v, solid_angle))(u, v)
+
+
+@functools.cache
+def places() -> tuple[np.ndarray, np.ndarray]:
+    """Where the directions lie on the map."""
+    u, v = jax.jit(latlong.finite_coordinates)(DIRECTIONS)
+    return np.asarray(u), np.asarray(v)
 
 
 def test_small_cells_are_pixels():
     pixels = noise(16)
-    wanted = latlong.look_up(jnp.asarray(pixels), *latlong.finite_coordinates(DIRECTIONS))
+    wanted = jax.jit(latlong.look_up)(pixels, *places())
     light = light_pyramid(environment(pixels))
     np.testing.assert_array_equal(found(light, None), wanted)
-    np.testing.assert_array_equal(found(light, jnp.float32(1e-9)), wanted)
+    np.testing.assert_array_equal(found(light, 1e-9), wanted)
 
 
 @pytest.mark.parametrize("rows", [8, 16, 12])
@@ -42,11 +66,10 @@ def test_the_largest_cells_are_means_by_solid_angle(rows: int):
 def test_channels_are_looked_up_apart(solid_angle: float | None):
     """However many there are."""
     pixels = np.concatenate([noise(16), 1 + noise(16)], axis=2)
-    asked = None if solid_angle is None else jnp.float32(solid_angle)
+    asked = None if solid_angle is None else np.float32(solid_angle)
 
     def seen(pixels) -> np.ndarray:
-        of, (u, v) = cells(pixels), latlong.finite_coordinates(DIRECTIONS)
-        return np.asarray(jax.vmap(lambda u, v: of.look_up(u, v, asked))(u, v))
+        return np.asarray(_looked_up(cells(pixels), *places(), asked))
 
     apart = np.concatenate([seen(pixels[..., k : k + 1]) for k in range(6)], axis=1)
     for channels in range(1, 7):
@@ -57,8 +80,8 @@ def test_channels_are_looked_up_apart(solid_angle: float | None):
 @pytest.mark.parametrize("solid_angle", [1e-6, 1e-2, 0.3, 20])
 def test_a_constant_sky_is_constant(rows: int, solid_angle: float):
     light = light_pyramid(environment(np.full((rows, 2 * rows, 3), 0.7, np.float32)))
-    np.testing.assert_allclose(found(light, jnp.float32(solid_angle)), 0.7, rtol=1e-5)
-    mean, square, bandwidth = jax.vmap(lambda one: light.detail_at(one, jnp.float32(solid_angle)))(DIRECTIONS)
+    np.testing.assert_allclose(found(light, solid_angle), 0.7, rtol=1e-5)
+    mean, square, bandwidth = _details(light, np.float32(solid_angle))
     np.testing.assert_allclose(mean, 0.7, rtol=1e-5)
     np.testing.assert_allclose(square, 0.49, rtol=1e-5)
     assert not np.asarray(bandwidth).any()
@@ -71,9 +94,9 @@ def test_cells_are_as_wide_as_is_asked(solid_angle: float):
     pixels = np.zeros((rows, 2 * rows, 1), np.float32)
     pixels[rows // 2, rows] = 1
     of, near = cells(pixels), np.linspace(-0.25, 0.25, 4001)
-    v, asked = jnp.float32(0.5 + 0.5 / rows), jnp.float32(solid_angle)
-    look_up = jax.jit(jax.vmap(lambda u: of.look_up(u, v, asked)))
-    seen = np.asarray(look_up(jnp.asarray(0.5 + near / (2 * np.pi), jnp.float32)), float)[:, 0]
+    u, v = 0.5 + near / (2 * np.pi), np.full(len(near), 0.5 + 0.5 / rows)
+    seen = _looked_up(of, u.astype(np.float32), v.astype(np.float32), np.float32(solid_angle))
+    seen = np.asarray(seen, float)[:, 0]
     seen /= seen.sum()
     variance = np.sum(seen * (near - np.sum(seen * near)) ** 2)
     assert solid_angle / 6 / 1.5 < variance < solid_angle / 6 * 1.5
@@ -82,7 +105,7 @@ def test_cells_are_as_wide_as_is_asked(solid_angle: float):
 def test_turning_is_a_turn_of_the_map():
     pixels = noise(16)
     quarter = light_pyramid(environment(pixels, rotate_y=90))
-    turned = np.asarray(latlong.rotate(jnp.asarray(pixels), jnp.asarray(90.0)))
+    turned = np.asarray(jax.jit(latlong.rotate)(pixels, np.float32(90)))
     np.testing.assert_array_equal(found(quarter, None), found(light_pyramid(environment(turned)), None))
 
 
@@ -98,10 +121,9 @@ def test_waves_have_their_bandwidth():
 def test_differentiable_in_pixels():
     def total(pixels):
         of = cells(pixels)
-        u, v = jnp.asarray([0.1, 0.6]), jnp.asarray([0.3, 0.7])
-        return jnp.sum(jax.vmap(of.look_up)(u, v, jnp.asarray([1e-6, 0.2])))
+        return jnp.sum(jax.vmap(of.look_up)(*np.asarray([[0.1, 0.6], [0.3, 0.7], [1e-6, 0.2]], np.float32)))
 
-    gradient = np.asarray(jax.grad(total)(jnp.asarray(noise(8))))
+    gradient = np.asarray(jax.jit(jax.grad(total))(noise(8)))
     # Means' weights sum to 1 for each of two look-ups and three channels.
     np.testing.assert_allclose(gradient.sum(), 6, rtol=1e-5)
     assert (gradient >= 0).all()
@@ -113,11 +135,11 @@ def test_a_sun_is_split_off_and_turns_with_the_map(degrees: float):
     pixels[40, 100] = 1e5
     light = light_pyramid(environment(pixels, rotate_y=degrees))
     sun = light.turned_sun()
-    towards = jnp.asarray(np.asarray(sun.irradiance).sum(axis=1) @ np.asarray(sun.directions))
-    towards /= jnp.linalg.norm(towards)
+    towards = np.asarray(sun.irradiance).sum(axis=1) @ np.asarray(sun.directions)
+    towards /= np.linalg.norm(towards)
     # What is left there is no brighter than all else, and is where the sun was.
-    assert light.radiance.values.max() < 4
-    u, v = latlong.finite_coordinates(towards)
+    assert np.asarray(light.radiance.values).max() < 4
+    u, v = jax.jit(latlong.finite_coordinates)(towards)
     place = np.array([(float(u) + degrees / 360) % 1 * 256, float(v) * 128])
     np.testing.assert_allclose(place, [100.5, 40.5], atol=0.05)
     energy = latlong.solid_angles(128, 256)[40] * 1e5
