@@ -56,14 +56,14 @@ def refined(
     fitted, held = (
         [_directions(start.parametrisation, side, seed + 2 * part + i) for i in range(2)] for part in range(2)
     )
-    maps, most, errors = [], 0, []
+    both, maps, most, errors = (start.light_maps, start.view_maps), [], 0, []
     for c in range(brdf.channels):
-        own = start.light_maps[:, c], start.view_maps[:, c]
-        found, count = _solve(brdf, own, fitted, cosine, start.parametrisation, c, steps)
-        errors.append([_error(brdf, m, held, cosine, start.parametrisation, c) for m in (own, found)])
+        own, channel = tuple(as_array(np.asarray(maps)[:, c]) for maps in both), as_array(c)
+        found, count = _solve(brdf, own, fitted, cosine, start.parametrisation, channel, steps)
+        errors.append([_error(brdf, m, held, cosine, start.parametrisation, channel) for m in (own, found)])
         maps.append(found)
         most = max(most, int(count))
-    light, view = (jnp.stack([channel[i] for channel in maps], axis=1) for i in range(2))
+    light, view = (as_array(np.stack([of_channel[i] for of_channel in maps], axis=1)) for i in range(2))
     before, after = (float(np.sqrt(sum(e[i][0] for e in errors) / sum(e[i][1] for e in errors))) for i in range(2))
     return Refined(Factored(light, view, start.parametrisation), before, after, most)
 

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.arrays import as_array
 from jaxrelight.brdf.factors import COSINE, Samples
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, white_lambert
@@ -122,32 +123,31 @@ def factor_spatial(
     """
     h, w = lobes.shape
     every = _lobes_of(lobes)
-    strength = np.asarray(jnp.mean(lobes.scale, axis=-1)).reshape(-1)
-    pairs = spread_pairs(_PAIRS)
+    strength = np.asarray(lobes.scale).mean(axis=-1).reshape(-1)
+    pairs = tuple(map(np.asarray, spread_pairs(_PAIRS)))
     # As of factors: pairs at grazing angles are bright and seldom seen.
-    at = jnp.sqrt(pairs[0][:, 2] * pairs[1][:, 2])
+    at = np.sqrt(pairs[0][:, 2] * pairs[1][:, 2])
     chosen = _shapes(every, strength, pairs, at, tolerance, most_shapes)
     shapes = jax.tree.map(lambda leaf: leaf[chosen], every)
-    basis = _values(shapes, *pairs) * at  # [b, p]
+    basis = np.asarray(_values(shapes, *pairs)) * at  # [b, p]
     weights, error = _weights(every, np.asarray(lobes.scale).reshape(h * w, lobes.lobes, -1), basis, pairs, at)
     size = np.sqrt(np.mean(weights**2, axis=(0, 2)))
     light, view, left = _factored(shapes, size, terms, resolution)
-    texture = Texture(jnp.asarray(weights.reshape(h, w, -1), jnp.float32)).minified()
+    texture = Texture(as_array(weights.reshape(h, w, -1), jnp.float32)).minified()
     return SpatialFactors(light, view, texture), Left(error, left)
 
 
 def _lobes_of(lobes: SpatialLobes) -> LobeSum:
-    """All lobes of all texels as grey BRDFs of one lobe and a peak of 1, one after the other."""
-    texels, count = lobes.shape[0] * lobes.shape[1], lobes.lobes
-    turn = jnp.repeat(jnp.arctan2(lobes.axis[..., 1], lobes.axis[..., 0]).reshape(-1) / 2, count)
-    total = texels * count
-    return LobeSum(
-        jnp.zeros((total, 1)),
-        jnp.asarray(lobes.C).reshape(total, 1, 1, 3),
-        jnp.asarray(lobes.exponent).reshape(total, 1, 1),
-        jnp.ones((total, 1, 1)),
-        turn,
+    """All lobes of all texels as grey BRDFs of one lobe and a peak of 1, one after the other; on the host."""
+    total, axis = lobes.shape[0] * lobes.shape[1] * lobes.lobes, np.asarray(lobes.axis)
+    arrays: Any = (
+        np.zeros((total, 1)),
+        np.asarray(lobes.C).reshape(total, 1, 1, 3),
+        np.asarray(lobes.exponent).reshape(total, 1, 1),
+        np.ones((total, 1, 1)),
+        np.repeat(np.arctan2(axis[..., 1], axis[..., 0]).reshape(-1) / 2, lobes.lobes),
     )
+    return LobeSum(*(one.astype(np.float32) for one in arrays))
 
 
 @jax.jit
@@ -164,7 +164,7 @@ def _shapes(every: LobeSum, strength: np.ndarray, pairs, at, tolerance: float, m
     """The lobes that span the others best, by pivoted QR: each is the one of which the earlier ones miss most."""
     shine = np.flatnonzero(strength > 0)
     some = np.random.default_rng(0).choice(shine, min(_CANDIDATES, len(shine)), replace=False)
-    columns = np.asarray(_values(jax.tree.map(lambda leaf: leaf[some], every), *pairs) * at).T * strength[some]
+    columns = (np.asarray(_values(jax.tree.map(lambda leaf: leaf[some], every), *pairs)) * at).T * strength[some]
     found: Any = scipy.linalg.qr(columns, mode="r", pivoting=True)
     r, order = found
     left = np.cumsum(np.sum(r**2, axis=1)[::-1])[::-1]
@@ -178,13 +178,13 @@ def _weights(every: LobeSum, scale: Float[np.ndarray, "t l c"], basis, pairs, at
     gram = np.asarray(basis, float) @ np.asarray(basis, float).T
     # A millionth of the largest: shapes that are nearly alike share their weight.
     inverse = np.linalg.inv(gram + 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram)))
-    solve = jnp.asarray(inverse @ np.asarray(basis, float), jnp.float32)
+    solve = (inverse @ np.asarray(basis, float)).astype(np.float32)
     weights, missed, total = np.empty((texels, len(gram), channels)), 0.0, 0.0
     size = max(1, _TOGETHER // count)
     for start in range(0, texels, size):
         index = np.minimum(np.arange(start, start + size), texels - 1)
         mine = jax.tree.map(lambda leaf, i=index: leaf.reshape(texels, count, *leaf.shape[1:])[i], every)
-        found, off, whole = _solved(mine, jnp.asarray(scale[index]), basis, solve, *pairs, at)
+        found, off, whole = (np.asarray(of) for of in _solved(mine, scale[index], basis, solve, *pairs, at))
         kept = min(size, texels - start)
         weights[start : start + kept] = found[:kept]
         missed, total = missed + float(off[:kept].sum()), total + float(whole[:kept].sum())

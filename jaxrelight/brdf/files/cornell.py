@@ -4,6 +4,7 @@ Numbers between lines that start with #: how many wavelengths; the wavelengths i
 θ_i φ_i θ_s φ_s in radians and a value for every wavelength.
 """
 
+import functools
 import math
 import re
 from typing import NamedTuple
@@ -144,7 +145,15 @@ def interpolated(pairs: Pairs, shape: tuple[int, int, int] = SHAPE) -> tuple[Tab
 def _angles(pairs: Pairs) -> np.ndarray:
     """θ_h, θ_d and φ_d of all pairs, in double precision: [3, n]."""
     with jax.enable_x64(True):
-        return np.stack(jax.vmap(half_difference)(as_array(pairs.omega_i), as_array(pairs.omega_o)))
+        return np.stack(_half_differences(as_array(pairs.omega_i), as_array(pairs.omega_o)))
+
+
+_half_differences = jax.jit(jax.vmap(half_difference))
+
+
+@functools.partial(jax.jit, static_argnames="shape")
+def _corners(places, shape: tuple[int, int, int]):
+    return jax.vmap(lambda *one: corners(HalfDifference(*one), shape))(*places)
 
 
 def _coordinates(theta_h, theta_d, phi_d) -> np.ndarray:
@@ -161,7 +170,7 @@ def _through(table: np.ndarray, floor: np.ndarray, pairs: Pairs, angles: np.ndar
     mirrored = np.stack([angles[0], angles[1], np.mod(-angles[2], np.pi)])
     places = np.concatenate([angles, mirrored], axis=1)
     with jax.enable_x64(True):
-        entries, weights = jax.vmap(lambda *one: corners(HalfDifference(*one), table.shape[:3]))(*as_array(places))
+        entries, weights = _corners(as_array(places), table.shape[:3])
     rows = np.repeat(np.arange(places.shape[1]), 8)
     used, columns = np.unique(np.ravel(entries), return_inverse=True)
     at_pairs = csr_array((np.ravel(weights), (rows, columns)), shape=(len(rows) // 8, len(used)))
