@@ -55,7 +55,7 @@ def ball(brdf) -> Scene:
 @functools.cache
 def filtered():
     """Of the sky below; made once for all tests."""
-    return prefilter(sky(), 64)
+    return prefilter(sky(), 32)
 
 
 def sky() -> np.ndarray:
@@ -107,7 +107,7 @@ def test_a_ball_is_lit_as_by_exact_transport_and_better_than_with_the_cosine_out
 
 def test_turning_the_map_is_turning_its_pixels():
     seen, pixels = lafortune(), sky()
-    turned = seen.under(prefilter(np.roll(pixels, -8, axis=1), 64))
+    turned = seen.under(prefilter(np.roll(pixels, -8, axis=1), 32))
     np.testing.assert_allclose(seen.under(filtered(), 90), turned, rtol=2e-3, atol=1e-4)
 
 
