@@ -12,6 +12,7 @@ import pytest
 from scipy import ndimage
 
 from jaxrelight import Camera, Part, Scene, environment, lambert, phong, plane, sphere
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -193,7 +194,7 @@ def test_an_sbrdf_is_shaded_where_it_varies(texels: int):
         "scale": np.full((64, 1, 3), 0.3),
     }
     maps: dict[str, Any] = {name: np.asarray(value, np.float32)[None] for name, value in arrays.items()}
-    spatial = SpatialLobes(**maps, axis=np.tile(np.array([1, 0], np.float32), (1, 64, 1)))
+    spatial = SpatialLobes(**maps, axis=as_array(np.tile([1, 0], (1, 64, 1)), np.float32))
     one = AdaptiveShader(look_at(ball_on_floor(floor=Material((Component(spatial),)))), CAMERA)
     plan = one.plan(sky(), samples=32)
     exact = one.uniform(sky(), 1024, 7, filtered=True)

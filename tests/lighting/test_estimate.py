@@ -1,7 +1,7 @@
 """Estimates by work in batches: closed forms, laws, the same for the same seed, gradients."""
 
 import functools
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -22,6 +22,7 @@ from jaxrelight import (
     plane,
     sphere,
 )
+from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.half_sampling import half_vectors
 from jaxrelight.brdf.lobes import LobeSum
@@ -90,8 +91,9 @@ def written_out(brdf: LobeSum) -> LobeSum:
     lobes = len(brdf.scale)
     more = (0, 2 - lobes), (0, 0)
     C, exponent = np.broadcast_to(brdf.C, (lobes, 3, 3)), np.broadcast_to(brdf.exponent, (lobes, 3))
-    C, exponent, scale = (np.pad(of, [*more, (0, 0)][: of.ndim]) for of in (C, exponent, np.asarray(brdf.scale)))
-    return LobeSum(brdf.diffuse, C, exponent, scale, np.asarray(0 if brdf.turn is None else brdf.turn, np.float32))
+    padded = [np.pad(of, [*more, (0, 0)][: of.ndim]) for of in (C, exponent, np.asarray(brdf.scale))]
+    turn = np.float32(0) if brdf.turn is None else brdf.turn
+    return LobeSum(brdf.diffuse, *map(as_array, (*padded, turn)))
 
 
 @jax.jit
@@ -228,7 +230,7 @@ def test_cells_are_as_large_as_what_samples_stand_for(monkeypatch):
     """Far larger ones blur, and far smaller ones are noisy."""
     light, part = light_of(np.random.default_rng(2).random((8, 16, 3)) ** 4), sampled(phong(0.0, 0.5, 40))
     wanted = np.asarray(estimate(part, light, view().pixels, counts(MOST), 1))
-    off, covered, compiled = [], estimating._COVERED, estimating._added
+    covered, compiled, off = estimating._COVERED, cast(Any, estimating._added), []
     for share in (1, 8, 1 / 64):
         monkeypatch.setattr(estimating, "_COVERED", covered * share)
         if share != 1:

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 import pytest
 
+from jaxrelight.arrays import as_array
 from jaxrelight.lighting.hierarchy import LEVELS, Features, Hierarchy, hierarchy
 
 H, W = 40, 48
@@ -20,7 +21,7 @@ def features(kind=None, angular: float | np.ndarray = 0.5, contrast=1.0, spatial
     kind = np.zeros((H, W), np.int32) if kind is None else kind
     position = np.stack([x, y, 0 * x], axis=-1)
     angular, spatial, contrast = (np.broadcast_to(np.float32(of), (H, W)) for of in (angular, spatial, contrast))
-    return Features(kind, mirror, angular, position, spatial, contrast)  # pyright: ignore[reportArgumentType]
+    return Features(*map(as_array, (kind, mirror, angular, position, spatial, contrast)))
 
 
 def filled(between: Hierarchy, image: np.ndarray) -> np.ndarray:
@@ -28,7 +29,7 @@ def filled(between: Hierarchy, image: np.ndarray) -> np.ndarray:
     channels = image.shape[2]
     wide = np.pad(image.astype(np.float32), ((0, 0), (0, 0), (0, -channels % TOGETHER)))
     parts = np.split(wide, wide.shape[2] // TOGETHER, axis=2)
-    return np.concatenate([between.filled(part) for part in parts], axis=2)[..., :channels]
+    return np.concatenate([between.filled(as_array(part)) for part in parts], axis=2)[..., :channels]
 
 
 @functools.cache
@@ -103,7 +104,7 @@ def test_influence_is_the_transpose_of_spread():
     between = plain().within(0.05)
     variance = np.random.default_rng(0).random((H, W)).astype(np.float32)
     shaded = np.asarray(between.shaded)
-    total = np.asarray(between.spread(variance)).sum()
+    total = np.asarray(between.spread(as_array(variance))).sum()
     np.testing.assert_allclose(np.sum(np.asarray(between.influence())[shaded] * variance[shaded]), total, rtol=1e-4)
 
 
@@ -115,7 +116,7 @@ def test_spread_is_near_the_variance_of_what_lies_between(tolerance: float):
     each = np.zeros((H * W, len(shaded)), np.float32)
     each[shaded, np.arange(len(shaded))] = 1
     exact = np.sum(filled(between, each.reshape(H, W, -1)) ** 2)
-    found = np.asarray(between.spread(np.ones((H, W), np.float32)))
+    found = np.asarray(between.spread(as_array(np.ones((H, W), np.float32))))
     assert 0.75 < found.sum() / exact < 1.35
 
 
@@ -170,5 +171,5 @@ def test_inside_pixels_the_nearest_parents_alone_count():
     assert shaded.mean() < 0.7
     np.testing.assert_allclose(filled(between, np.where(shaded[..., None], image, 7)), image, atol=0.02)
     # Those of coarser levels are what they are without.
-    same = (np.asarray(of.weights)[..., :coarse] for of in (found, plain()))
-    np.testing.assert_array_equal(*same)
+    these, those = (np.asarray(of.weights)[..., :coarse] for of in (found, plain()))
+    np.testing.assert_array_equal(these, those)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxrelight import Camera, Part, Scene, environment, lambert, phong, sphere
+from jaxrelight.arrays import as_array
 from jaxrelight.lighting.prediction import draw, predict
 from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
 from jaxrelight.lighting.sampled import sampled
@@ -36,10 +37,10 @@ def sky(columns) -> np.ndarray:
 def predicted(columns, exponent: float, spacing: float = 2.0, hidden=None):
     light = light_pyramid(environment(sky(columns).astype(np.float32)))
     count = len(pixels().pixel)
-    angle = np.float32(np.sqrt(CAMERA.solid_angles().max()))
-    bend, far = np.ones(count, np.float32), np.full(count, 3, np.float32)
+    angle = np.sqrt(CAMERA.solid_angles().max())
+    bend, far, angle, step = (as_array(of, np.float32) for of in (np.ones(count), np.full(count, 3), angle, spacing))
     drawn = draw(part(exponent), pixels(), 16)
-    found = predict(part(exponent), light, pixels(), bend, far, angle, np.float32(spacing), drawn, hidden)
+    found = predict(part(exponent), light, pixels(), bend, far, angle, step, drawn, hidden)
     return jax.tree.map(np.asarray, found)
 
 
@@ -111,15 +112,17 @@ def test_maps_of_lobes_add_their_own_bandwidth():
     found = []
     for varied in (0.0, 0.35):
         mapped = eqx.tree_at(
-            lambda of: of.map, one, Texture(np.full((8, 8, 1), varied, np.float32)), is_leaf=lambda of: of is None
+            lambda of: of.map,
+            one,
+            Texture(as_array(np.full((8, 8, 1), varied), np.float32)),
+            is_leaf=lambda of: of is None,
         )
         light = light_pyramid(environment(sky(np.ones(2 * ROWS)).astype(np.float32)))
         count = len(pixels().pixel)
         given = eqx.tree_at(lambda of: of.footprint, pixels(), np.full(count, 1e-3, np.float32))
-        angle, spacing = np.float32(0.017), np.float32(2)
         drawn = draw(mapped, given, 16)
-        bend, far = np.ones(count, np.float32), np.full(count, 3, np.float32)
-        foreseen = predict(mapped, light, given, bend, far, angle, spacing, drawn)
+        bend, far, angle, step = (as_array(of, np.float32) for of in (np.ones(count), np.full(count, 3), 0.017, 2))
+        foreseen = predict(mapped, light, given, bend, far, angle, step, drawn)
         found.append(np.asarray(foreseen.spatial))
     assert not found[0][seen()].any()
     across = np.sqrt(1e-3) * 8 * 0.35 * np.sqrt(np.asarray(pixels().omega_o)[:, 2]) / (3 * 0.017)

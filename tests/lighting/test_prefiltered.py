@@ -73,8 +73,8 @@ def lafortune() -> Seen:
 @jax.jit
 def radiances(brdfs, maps):
     """Of several BRDFs, whose arrays lead with their number."""
-    eye, frame = np.array([0.48, 0.36, 0.8], np.float32), np.eye(3, dtype=np.float32)
-    return jax.vmap(lambda one: prefiltered_radiance(one, eye, frame, maps))(brdfs)
+    eye = jnp.asarray([0.48, 0.36, 0.8])
+    return jax.vmap(lambda one: prefiltered_radiance(one, eye, jnp.eye(3), maps))(brdfs)
 
 
 def pictured(seen: Seen, colour) -> np.ndarray:
@@ -154,15 +154,17 @@ def test_what_stands_behind_a_lamp_casts_no_shadow():
 def test_lobes_of_each_channel_are_seen_in_that_channel():
     C = np.array([[-1, -1, 1], [1, 1, 1], [-1, 1, 1]], np.float32)
     exponent, diffuse, peaks = (np.array(of, np.float32) for of in ([3, 40, 200], [0.1, 0.2, 0.3], [0.3, 0.2, 0.4]))
-    together = radiances(LobeSum(*(of[None] for of in (diffuse, C[None], exponent[None], peaks[None]))), filtered())
+    together = radiances(
+        LobeSum(*(as_array(of[None]) for of in (diffuse, C[None], exponent[None], peaks[None]))), filtered()
+    )
     several = np.tile(diffuse, (3, 1)), C[:, None, None], exponent[:, None, None], np.tile(peaks, (3, 1, 1))
-    alone = radiances(LobeSum(*several), filtered())
+    alone = radiances(LobeSum(*map(as_array, several)), filtered())
     np.testing.assert_allclose(together[0], np.diagonal(alone), rtol=1e-5)
 
 
 def test_weights_multiply_what_is_reflected():
     factors = np.array([0.25, 0.5, 1.0], np.float32)
-    less = look_at(ball(Material((Component(LAFORTUNE, (Texture(factors[None, None]),)),))))
+    less = look_at(ball(Material((Component(LAFORTUNE, (Texture(as_array(factors[None, None])),)),))))
     whole, lamp = lafortune(), [point([2, 3, 1], 5)]
     np.testing.assert_allclose(less.lit_by(lamp), whole.lit_by(lamp) * factors, rtol=1e-5)
     np.testing.assert_allclose(less.under(filtered()), whole.under(filtered()) * factors, rtol=1e-5)
@@ -182,8 +184,8 @@ def card(brdf) -> Scene:
 
 def spatial_lobes(parameters: dict) -> SpatialLobes:
     """Without anisotropy."""
-    maps: dict[str, Any] = {name: np.asarray(value, np.float32) for name, value in parameters.items()}
-    return SpatialLobes(**maps, axis=np.tile(np.array([1, 0], np.float32), (*maps["diffuse"].shape[:2], 1)))
+    maps: dict[str, Any] = {name: as_array(value, np.float32) for name, value in parameters.items()}
+    return SpatialLobes(**maps, axis=as_array(np.tile([1, 0], (*maps["diffuse"].shape[:2], 1)), np.float32))
 
 
 def test_every_texel_has_its_own_lobes():
@@ -217,7 +219,7 @@ def test_directions_of_anisotropy_follow_the_texture_coordinates():
 
     def brushed(mesh, cos2: float) -> np.ndarray:
         one = ([[[0, 0, 0]]], [[[[-1, -0.3, 0.9]]]], [[[20]]], [[[[1, 1, 1]]]], [[[cos2, 0]]])
-        spatial = SpatialLobes(*(np.asarray(part, np.float32) for part in one))
+        spatial = SpatialLobes(*(as_array(part, np.float32) for part in one))
         scene = Scene([Part(mesh, "card")], {"card": Material((Component(spatial),))}, CAMERA)
         assert scene.surfaces().uv_tangents.all()
         return np.asarray(look_at(scene).lit_by(lamp))
@@ -310,14 +312,14 @@ def test_texels_smaller_than_pixels_are_seen_at_coarser_levels(texels):
         shapes = (3,), (0, 3), (0,), (0, 3), (2,)
         return SpatialLobes(
             *(
-                np.full((side, side, *shape), fill, np.float32)
+                as_array(np.full((side, side, *shape), fill), np.float32)
                 for shape, fill in zip(shapes, (albedo, 0, 0, 0, 1), strict=True)
             )
         )
 
     maps = dataclasses.replace(level(256, 0.0), coarser=tuple(level(side, 0.5) for side in sizes[1:]))
     coarser = np.ones((sum(side**2 for side in sizes[1:]), 1), np.float32)
-    weight = Texture(np.zeros((256, 256, 1), np.float32), coarser)
+    weight = Texture(as_array(np.zeros((256, 256, 1), np.float32)), as_array(coarser))
     lamp, sky = [point([1, 2, 1], 3)], filtered()
     for component in (Component(maps), Component(lobe_sum([0.5] * 3, []), (weight,))):
         scene = Scene([Part(plane((8, 8), 2), "card")], {"card": Material((component,))}, CAMERA)

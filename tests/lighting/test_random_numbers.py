@@ -1,6 +1,7 @@
 """Even numbers: they fill a disc, shifted ones as well, and neighbours have nothing in common."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -10,13 +11,13 @@ from jaxrelight.lighting.random_numbers import MOST, even_numbers, shifts
 
 @jax.jit
 def many_shifts(seed):
-    return shifts(np.arange(4096), seed)
+    return shifts(jnp.arange(4096), seed)
 
 
 @jax.jit
 def numbers(count):
     """For each of several shifts; those from `count` on are none."""
-    return jax.vmap(lambda one: even_numbers(np.arange(MOST), count, one))(many_shifts(0)[:7])
+    return jax.vmap(lambda one: even_numbers(jnp.arange(MOST), count, one))(many_shifts(0)[:7])
 
 
 @pytest.mark.parametrize("count", [16, 48, 256, MOST])
