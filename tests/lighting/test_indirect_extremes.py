@@ -45,10 +45,10 @@ def test_strong_lights_are_weak_ones_times_their_strength(usual):
 
 @pytest.fixture(scope="module")
 def slopes(usual):
-    """The gradient of all that pixels get, in a lamp."""
+    """The gradient, in a lamp, of all light of the cloud, of which pixels get fixed shares."""
 
     def bright(lamp):
-        return jnp.sum(usual.gathered(usual.spread(usual.cloud_light([lamp], shadows=False))))
+        return jnp.sum(usual.spread(usual.cloud_light([lamp], shadows=False)))
 
     return jax.jit(jax.grad(bright))
 
