@@ -29,6 +29,7 @@ def count(event, **_):
         counts[kind] += event == f"/jax/compilation_cache/cache_{kind}"
 jax.monitoring.register_event_listener(count)
 print(jax.jit(lambda x: (3 * x).sum())(jax.numpy.arange(5.0)))
+jax.jit(lambda x: x + 1)(1.0)
 print(jax.config.jax_compilation_cache_dir)
 print(counts["hits"], counts["misses"])
 """
@@ -47,14 +48,32 @@ def _run(*arguments, **environment) -> tuple[float, str, int, int]:
     return float(value), folder, hits, misses
 
 
-@pytest.mark.parametrize("when", [(), ("late",)], ids=["before jax is imported", "after"])
-def test_second_process_compiles_nothing(tmp_path, when):
-    value, folder, hits, misses = _run("call", *when, XDG_CACHE_HOME=str(tmp_path))
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """A user's cache that one process has written to, and what that process found."""
+    folder = tmp_path_factory.mktemp("home")
+    return folder, _run("call", XDG_CACHE_HOME=str(folder))
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory):
+    """A folder that the variable names, which a process has written to that called late, and what it found."""
+    folder = tmp_path_factory.mktemp("moved") / "a" / "b"
+    return folder, _run("call", "late", **{VARIABLE: str(folder)})
+
+
+def test_first_process_writes_to_the_users_cache(filled):
+    home, (value, folder, hits, misses) = filled
     assert (value, hits) == (30, 0)
     assert misses > 0
     if sys.platform == "linux":
-        assert pathlib.Path(folder).parent == tmp_path / "jaxrelight" / "compiled"
-    assert _run("call", *when, XDG_CACHE_HOME=str(tmp_path)) == (value, folder, misses, 0)
+        assert pathlib.Path(folder).parent == home / "jaxrelight" / "compiled"
+
+
+@pytest.mark.parametrize("when", [(), ("late",)], ids=["before jax is imported", "after"])
+def test_second_process_compiles_nothing(filled, when):
+    home, (value, folder, _, misses) = filled
+    assert _run("call", *when, XDG_CACHE_HOME=str(home)) == (value, folder, misses, 0)
 
 
 def test_library_keeps_nothing_unless_asked(tmp_path):
@@ -62,9 +81,11 @@ def test_library_keeps_nothing_unless_asked(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_variable_moves_it(tmp_path):
-    assert _run("call", **{VARIABLE: str(tmp_path / "a" / "b")})[1] == str(tmp_path / "a" / "b")
-    assert list((tmp_path / "a" / "b").iterdir())
+def test_variable_moves_it(moved):
+    wanted, (value, folder, hits, misses) = moved
+    assert (value, folder, hits) == (30, str(wanted), 0)
+    assert misses > 0
+    assert list(wanted.iterdir())
 
 
 def test_variable_turns_it_off(tmp_path):
@@ -86,18 +107,18 @@ def test_folder_that_cannot_be_used_costs_only_time(tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "folder"])
-def test_damaged_programs_cost_only_time(tmp_path, damage: str):
-    """They are compiled again, without a word."""
-    _run("call", **{VARIABLE: str(tmp_path)})
-    entries = [path for path in tmp_path.iterdir() if path.name.endswith("-cache")]
-    assert entries
-    for entry in entries:
+def test_damaged_programs_cost_only_time(moved):
+    """Cut, empty or a folder: they are compiled again, without a word."""
+    # In their place: in a copy of the folder none of them would be found.
+    folder, (*_, written) = moved
+    entries = [path for path in folder.iterdir() if path.name.endswith("-cache")]
+    assert len(entries) == written >= 3
+    for number, entry in enumerate(entries):
         content = entry.read_bytes()
         entry.unlink()
-        if damage == "folder":
+        if number % 3 == 0:
             entry.mkdir()
         else:
-            entry.write_bytes({"cut": content[: len(content) // 2], "empty": b""}[damage])
-    value, _, hits, _ = _run("call", **{VARIABLE: str(tmp_path)})
+            entry.write_bytes(content[: len(content) // 2] if number % 3 == 1 else b"")
+    value, _, hits, _ = _run("call", **{VARIABLE: str(folder)})
     assert (value, hits) == (30, 0)

@@ -37,7 +37,7 @@ resolution = 3
 material = "gloss"
 """
 LAMP = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
-DIALS = "--resolution", "8", "--coefficients", "16", "--factor-resolution", "8", "--terms", "2"
+DIALS = "--resolution", "8", "--coefficients", "32", "--factor-resolution", "8", "--terms", "2"
 
 
 def run(*arguments, main: Callable[[], None] = cli.main) -> tuple[int, str, str]:

@@ -191,7 +191,7 @@ def test_render_then_again(folder, run):
         "resolution": 8,
         "visibility_samples": 1,
         "terms": 2,
-        "coefficients": 16,
+        "coefficients": 32,
         "factor_resolution": 8,
         "tolerance": 0.02,
         "bits": 32,
@@ -339,7 +339,7 @@ def test_info_on_a_store(folder, run, made):
     # A Lambert floor; of the other material, what is diffuse and two terms of its lobe.
     assert summary["rows"] == 128 + 3 * 128
     assert summary["materials"] == {"gloss": 3, "paper": 1}
-    assert summary["settings"]["coefficients"] == 16
+    assert summary["settings"]["coefficients"] == 32
     assert set(summary["bytes"]) == {path.name for path in made.iterdir() if path.is_dir()}
     assert summary["unused_layers"] == []
     assert 0.5 < summary["kept_energy"] < 1
@@ -409,7 +409,7 @@ def test_damaged_store_is_one_line(folder, run, made):
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["quick", "own dials"])
 def test_demo(folder, run, monkeypatch, quick: bool):
     if quick:
-        small = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+        small = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=8)
         monkeypatch.setattr("jaxrelight.transport.settings.Settings", lambda **_: small)
     summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     pictures = {path.name for path in (folder / "shown").glob("*.png")}

@@ -8,7 +8,7 @@ import pytest
 from jaxrelight import read_image, write_image
 from jaxrelight.commands import indirect
 from jaxrelight.images.exr import read_channels
-from tests.commands.running import refusal_of, run, summary_of
+from tests.commands.running import DIALS, refusal_of, run, summary_of
 
 CAMERA = "[camera]\norigin = [0, 0.6, 1.4]\ntarget = [0, 0.3, -1]\nfov_y = 60\nwidth = 16\nheight = 12\n"
 MATERIALS = (
@@ -118,9 +118,9 @@ def test_what_does_not_go_together_is_refused_before_work(arguments, what, tmp_p
 
 
 def test_other_cameras_and_lights_of_other_stores_are_refused():
-    run("precompute", "lamp.toml", "-o", "made", "--gather-samples", "64")
+    run("precompute", "lamp.toml", "-o", "made", *FEW)
     assert "precomputed for one camera" in refusal_of(run("relight", "made", "-o", "out.exr", "--width", "5"))
     assert "has no [[light]]" in refusal_of(run("relight", "made", "-o", "out.exr", "--lights", "dark.toml"))
-    run("precompute", "dark.toml", "-o", "distant", "--resolution", "4")
+    run("precompute", "dark.toml", "-o", "distant", *DIALS)
     refused = refusal_of(run("relight", "distant", "-o", "out.exr", "--lights", "lamp.toml"))
     assert "a store for distant light" in refused

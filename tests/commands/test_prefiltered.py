@@ -1,12 +1,21 @@
 """`render --lighting prefiltered`: pictures without a store."""
 
+import functools
+
 import numpy as np
 import pytest
 
 from jaxrelight import read_image
+from jaxrelight.lights import prefiltered
 from tests.commands.running import refusal_of, run, summary_of
 
 pytestmark = pytest.mark.usefixtures("lit_scenes")
+
+
+@pytest.fixture(autouse=True)
+def _coarse_maps(monkeypatch):
+    """Fine ones take their time."""
+    monkeypatch.setattr(prefiltered, "prefilter", functools.partial(prefiltered.prefilter, finest=64))
 
 
 def picture(name: str, *dials) -> np.ndarray:

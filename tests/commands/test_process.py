@@ -52,7 +52,11 @@ def test_misspelt_option_suggests_the_right_one(folder, run, typed: str, meant: 
     assert meant in err
 
 
-@pytest.mark.parametrize("arguments", [["info", "scene.toml"], ["info", "scene.toml", "--json"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "arguments",
+    [pytest.param(["info", "scene.toml"], marks=pytest.mark.slow), ["info", "scene.toml", "--json"]],
+    ids=" ".join,
+)
 def test_reader_that_has_gone_is_no_fault(folder, arguments):
     process = _process(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None
@@ -98,7 +102,7 @@ def test_lines_where_there_is_no_terminal(capsys, monkeypatch):
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("columns", [40, 120])
+@pytest.mark.parametrize("columns", [40, pytest.param(120, marks=pytest.mark.slow)])
 def test_terminal_shows_bars_and_wraps_the_summary(folder, columns: int):
     """At a terminal of that width nothing is longer than it."""
     reader, writer = pty.openpty()

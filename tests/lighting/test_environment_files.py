@@ -57,7 +57,7 @@ def test_the_same_light_in_files_of_other_sizes_and_kinds_is_the_same_picture(tm
     """Constant cells split in other ways, and a cube map of the same smooth radiance."""
     sky = _sky(4)
     wanted = picture(jr.environment(sky))
-    for rows, columns in ((1, 3), (5, 1), (3, 2)):
+    for rows, columns in ((1, 3), (3, 2)):
         name = tmp_path / f"{rows}x{columns}.exr"
         jr.write_image(name, sky.repeat(rows, axis=0).repeat(columns, axis=1))
         np.testing.assert_allclose(picture(load_environment(name, layout="latlong")), wanted, rtol=2e-3)
@@ -76,7 +76,7 @@ def test_the_same_light_in_files_of_other_sizes_and_kinds_is_the_same_picture(tm
 
 def test_a_map_of_one_pixel_lights_as_a_constant_one(picture):
     np.testing.assert_allclose(
-        picture(jr.environment(np.full((1, 1, 3), 0.7))), picture(jr.environment(np.full((8, 16, 3), 0.7))), rtol=1e-5
+        picture(jr.environment(np.full((1, 1, 3), 0.7))), picture(jr.environment(np.full((16, 32, 3), 0.7))), rtol=1e-5
     )
 
 

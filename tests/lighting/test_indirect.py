@@ -89,7 +89,7 @@ def test_what_is_gathered_is_what_the_cloud_reflects(relighter):
     seen = transport.seen
     assert seen is not None
     light = np.asarray(relighter.cloud_light([LAMP]))
-    image = np.asarray(relighter.gathered(jnp.asarray(light))).reshape(-1, 3)[seen.covered.reshape(-1)]
+    image = np.asarray(relighter.gathered(light)).reshape(-1, 3)[seen.covered.reshape(-1)]
     for pixel in np.flatnonzero(seen.mesh == 0)[::7]:
         share = kernel_at_parts(cloud, transport.tracer, seen.positions[pixel], seen.face_normals[pixel])
         np.testing.assert_allclose(image[pixel], np.array([0.7, 0.6, 0.5]) * (share @ light), rtol=0.15, atol=2e-3)
@@ -104,25 +104,24 @@ def test_codes_and_coefficients_are_near(scene, folder, relighter):
 
 def test_gradients_in_lights_and_albedo(relighter):
     """Along a random direction, shadows held fixed, against differences."""
-    weights = jnp.asarray(np.random.default_rng(0).uniform(size=(10, 12, 3)), jnp.float32)
+    random = np.random.default_rng(0)
+    weights = random.uniform(size=(10, 12, 3)).astype(np.float32)
     lamp = spot([0.1, 0.2, 0.05], [-0.3, -0.5, 0.1], [1.0, 0.8, 0.6], 70.0, 30.0)
 
-    def bright(lamp, albedo):
+    @jax.jit
+    @jax.value_and_grad
+    def bright(given):
+        lamp, albedo = given
         light = relighter.spread(relighter.cloud_light([lamp], albedo, shadows=False), 3, albedo)
-        return jnp.sum(weights * relighter.gathered(light))
+        # What diffuse surfaces gather of the cloud its points have gathered of each other.
+        return jnp.sum(weights * relighter.gathered(light, "glossy"))
 
-    gradient = jax.grad(bright, argnums=(0, 1))(lamp, relighter.albedo)
-    leaves, tree = jax.tree.flatten((lamp, relighter.albedo))
-    random = np.random.default_rng(1)
-    along = [jnp.asarray(random.normal(size=leaf.shape), jnp.float32) for leaf in leaves]
-    step = 1e-3
-    ends = [
-        float(
-            bright(*jax.tree.unflatten(tree, [leaf + sign * step * a for leaf, a in zip(leaves, along, strict=True)]))
-        )
-        for sign in (1, -1)
-    ]
-    slope = sum(float(jnp.sum(one * a)) for one, a in zip(jax.tree.leaves(gradient), along, strict=True))
+    given = jax.tree.map(np.asarray, (lamp, relighter.albedo))
+    _, gradient = bright(given)
+    along = jax.tree.map(lambda leaf: random.normal(size=leaf.shape).astype(np.float32), given)
+    step = np.float32(1e-3)
+    ends = [float(bright(jax.tree.map(lambda x, a, by=by: x + by * a, given, along))[0]) for by in (step, -step)]
+    slope = sum(np.sum(one * a) for one, a in zip(jax.tree.leaves(gradient), jax.tree.leaves(along), strict=True))
     assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-2)
     assert all(np.isfinite(one).all() for one in jax.tree.leaves(gradient))
 
@@ -160,8 +159,8 @@ def test_stores_of_another_kind_are_refused(tmp_path):
         IndirectRelighter(jr.load(tmp_path))
 
 
-def test_more_bounces_than_precomputed_are_refused(tmp_path):
-    relighter = opened(room(0.5), tmp_path, bounces=1)
+def test_more_bounces_than_precomputed_are_refused(scene, folder):
+    relighter = opened(scene, folder, bounces=1)
     relighter.indirect([LAMP])
     with pytest.raises(InputError, match="precomputed for one bounce"):
         relighter.indirect([LAMP], 2)

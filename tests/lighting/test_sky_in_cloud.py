@@ -59,7 +59,7 @@ def test_all_light_of_a_map_is_in_one_direction_or_another():
 def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
     sky, relighter = gradient(), IndirectRelighter(object_outdoors.transport, samples=1)
     found = np.asarray(relighter.picture([], bounces, sky))
-    wanted = np.asarray(relighter.picture([sky_of(sky, 256)], bounces))
+    wanted = np.asarray(relighter.picture([sky_of(sky, 100)], bounces))
     assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted)
     np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted.mean(axis=(0, 1)), rtol=0.05)
 

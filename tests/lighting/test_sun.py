@@ -12,12 +12,12 @@ from jaxrelight.geometry import mesh as meshes
 SETTINGS = Settings(resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
 
 
-def _scene() -> Scene:
+def _scene(block: str = "gloss") -> Scene:
     aside = np.eye(4)
     aside[:3, 3] = 0.5, 0.3, 0.2
     parts = [
         Part(jr.plane((2, 2), 6), "paper"),
-        Part(meshes.transformed(jr.box((0.3, 0.6, 0.2), 2), aside), "gloss"),
+        Part(meshes.transformed(jr.box((0.3, 0.6, 0.2), 2), aside), block),
     ]
     materials = {
         "paper": jr.lambert([0.7, 0.6, 0.5]),
@@ -70,7 +70,7 @@ def test_a_sun_bounces(tmp_path):
     settings = dataclasses.replace(SETTINGS, coefficients="shared", tolerance=0.0)
     pictures = []
     for bounces in (0, 1):
-        made = jr.precompute(_scene(), dataclasses.replace(settings, bounces=bounces), tmp_path)
+        made = jr.precompute(_scene("paper"), dataclasses.replace(settings, bounces=bounces), tmp_path)
         relighter = Relighter(jr.load(made.folder, made.header, made.placed))
         sky = _sky(1e3)
         vector = relighter.light_vector(sky.pixels, sky.rotate_y, sky.scale)

@@ -3,7 +3,6 @@
 import dataclasses
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -77,7 +76,7 @@ def test_picture_is_linear_in_scale(relighter: Relighter):
 
 
 def test_black_sky_gives_black(relighter: Relighter):
-    image = relighter.image(jr.environment(np.zeros((4, 8, 3))), relighter.view())
+    image = relighter.image(jr.environment(0 * SKY), relighter.view())
     assert not image[..., :3].any()
 
 
@@ -99,9 +98,9 @@ def test_light_and_shade_make_the_picture(relighter: Relighter):
     for part, block in zip(terms, relighter.transport.blocks, strict=True):
         count = 128 * len(block.groups)
         assert part.shape == (padded_receivers(count), block.reflection.terms, 3)
-        assert part[:count].any()
-        assert not part[count:].any()
-    vector = relighter.light_vector(jnp.asarray(SKY), 40.0, 2.0)
+        assert np.asarray(part)[:count].any()
+        assert not np.asarray(part)[count:].any()
+    vector = relighter.light_vector(SKY, 40.0, 2.0)
     for found, wanted in zip(terms, relighter.terms(vector), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)
     given = relighter.image(environment, view, terms)
@@ -112,16 +111,16 @@ def test_light_and_shade_make_the_picture(relighter: Relighter):
 def test_many_lights_are_each_by_itself(relighter: Relighter):
     """A sky turned in steps, and another: each as it is alone, in all terms and in its picture."""
     turned = [jr.environment(SKY, rotate_y=degrees, scale=2) for degrees in (0, 30, 200)]
-    environments = [*turned, jr.environment(SKY[:6, :12] + 1)]
+    environments = [*turned, jr.environment(SKY[::-1].repeat(2, axis=0).repeat(2, axis=1) + 1)]
     many, view = relighter.light_many(environments), relighter.view()
     for i, environment in enumerate(environments):
-        mine = tuple(part[i] for part in many)
+        mine = tuple(np.asarray(part)[i] for part in many)
         for found, wanted in zip(mine, relighter.light(environment), strict=True):
             assert found.shape == wanted.shape
             np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
         image = relighter.image(environment, view, mine)
         np.testing.assert_allclose(image, relighter.image(environment, view), rtol=1e-5, atol=1e-5)
-    assert _relative(many[0][1], many[0][0]) > 0.1
+    assert _relative(*np.asarray(many[0])[:2]) > 0.1
 
 
 @pytest.mark.parametrize("coefficients", ["shared", pytest.param("all", marks=pytest.mark.slow)])
@@ -130,7 +129,7 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(_up(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
     scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
-    settings = Settings(resolution=4, bounces=1, gather_resolution=4, coefficients=coefficients)
+    settings = Settings(resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients)
     jr.precompute(scene, settings, tmp_path)
     relighter = Relighter.open(tmp_path)
     assert any(block.emitted is not None for block in relighter.transport.blocks)
@@ -138,18 +137,14 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     many = relighter.light_many(skies)
     for i, sky in enumerate(skies):
         for found, wanted in zip(many, relighter.light(sky), strict=True):
-            np.testing.assert_allclose(found[i], wanted, rtol=1e-5, atol=1e-5)
+            np.testing.assert_allclose(np.asarray(found)[i], wanted, rtol=1e-5, atol=1e-5)
 
 
 def test_light_may_be_traced_first(relighter: Relighter):
     """Tables that are kept between calls hold nothing of the function that was being traced when they were made."""
-    pixels = jnp.asarray(SKY[:6, :12])
-
-    def total(pixels):
-        return sum(part.sum() for part in relighter.terms(relighter.light_vector(pixels, 20.0)))
-
-    traced = jax.jit(total)(pixels)
-    assert float(traced) == pytest.approx(float(total(pixels)), rel=1e-5)
+    traced = jax.jit(lambda pixels: relighter.terms(relighter.light_vector(pixels, 20.0)))(SKY)
+    for found, wanted in zip(traced, relighter.terms(relighter.light_vector(SKY, 20.0)), strict=True):
+        assert _relative(found, wanted) < 1e-5
 
 
 # The white furnace.
@@ -177,7 +172,7 @@ def test_albedo_is_the_radiance_in_the_furnace(tmp_path):
     """Albedo 0.3 by channel and albedo 1 in one scene, kept coefficients: constant light is their average."""
     camera = jr.Camera((0, 0.3, 2), (0, 0, 0), fov_y=40, width=16, height=12)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert([0.3, 0.5, 1.0])}, camera)
-    jr.precompute(scene, Settings("pixels", resolution=16, coefficients=256), tmp_path)
+    jr.precompute(scene, Settings("pixels", resolution=8, coefficients=256), tmp_path)
     relighter = Relighter.open(tmp_path)
     image = relighter.image(jr.environment(np.ones((8, 16, 3))), relighter.view())
     seen = image[image[..., 3] == 1][:, :3]
@@ -203,7 +198,7 @@ def test_light_from_one_side_falls_on_that_side(tmp_path):
     sun[7:9, 7:9] = 100
     camera = jr.Camera((2, 1, -2), (0, 0, 0), fov_y=40, width=16, height=16)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert(0.5)}, camera)
-    jr.precompute(scene, Settings(resolution=16, coefficients=256), tmp_path)
+    jr.precompute(scene, Settings(resolution=8, coefficients=256), tmp_path)
     relighter = Relighter.open(tmp_path)
     normals = jr.box((1, 1, 1), 1).normals
     slots = relighter.transport.receivers.slot_of
