@@ -138,6 +138,10 @@ def light_pyramid(environment: Environment) -> LightPyramid:
 
 def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
     """All levels of a lat-long map of any size; differentiable where its pixels are JAX's."""
+    return _compiled_cells(pixels) if isinstance(pixels, jax.Array) else _cells(pixels)
+
+
+def _cells(pixels) -> Cells:
     numbers, (height, _, channels) = jnp if isinstance(pixels, jax.Array) else np, pixels.shape
     rows = _power_of_two(height)
     level = latlong.resized(numbers.pad(pixels, ((0, 0), (0, 0), (0, -channels % _AT_ONCE))), rows, 2 * rows)
@@ -149,6 +153,9 @@ def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:
         level = coarser
     levels.append(level)
     return Cells(as_array(numbers.concatenate([one.reshape(-1, level.shape[-1]) for one in levels])), rows, channels)
+
+
+_compiled_cells = jax.jit(_cells)
 
 
 def _between(coarse):

@@ -32,7 +32,12 @@ class Sky(Light):
 
     def parts(self) -> Sequence[Directional]:
         """A directional light each."""
-        return [Directional(-one, light) for one, light in zip(self.directions, self.irradiance, strict=True)]
+        if any(isinstance(of, jax.core.Tracer) for of in (self.directions, self.irradiance)):
+            each = zip(-self.directions, self.irradiance, strict=True)
+        else:
+            # Cut up on the host, where nothing is compiled for their number.
+            each = zip(-np.asarray(self.directions), np.asarray(self.irradiance), strict=True)
+        return [Directional(as_array(direction), as_array(light)) for direction, light in each]
 
 
 def even_sky(radiance, samples: int = 64) -> Sky:
