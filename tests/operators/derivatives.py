@@ -1,26 +1,16 @@
 """Derivatives in both modes against central differences, with one compiled program for all of it."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import numpy as np
 from jax.test_util import check_jvp, check_vjp
 
 
-def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> Any:
-    """What `check_grads` checks of both modes, to first order.
+def derivatives(function: Callable) -> Callable:
+    """The program of arguments, a direction and a cotangent, that gives the value and both modes' derivatives.
 
-    Every value, numerical differences too, comes from the program that has the derivatives: compiling is what takes
-    time. Arrays of NumPy as arguments are moved by NumPy, so that nothing else is compiled.
-
-    Args:
-        function: of arrays, to a tree of arrays.
-        arguments: where it is differentiated.
-        limits: atol, rtol and eps, as of `check_grads`; by default 1e-5 in float64.
-
-    Returns:
-        The program. Of arguments and a cotangent: the value, the derivative along the arguments, and the gradients.
+    These are the value, its derivative in the direction, and the gradients of its product with the cotangent.
     """
 
     @jax.jit
@@ -29,7 +19,24 @@ def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> 
         _, pull = jax.vjp(function, *primals)
         return value, along, pull(cotangent)
 
-    eps = limits.pop("eps", 1e-4)
+    return everything
+
+
+def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> Callable:
+    """What `check_grads` checks of both modes, to first order.
+
+    Every value, numerical differences too, comes from the program that has the derivatives: compiling is what takes
+    time. Arguments become arrays of NumPy, so that nothing else is compiled.
+
+    Args:
+        function: of arrays, to a tree of arrays.
+        arguments: where it is differentiated.
+        limits: atol, rtol and eps, as of `check_grads`; by default 1e-5 in float64.
+
+    Returns:
+        The program of `derivatives`.
+    """
+    everything, eps = derivatives(function), limits.pop("eps", 1e-4)
     arguments = jax.tree.map(np.asarray, arguments)
     nothing = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(function, *arguments))
 
@@ -44,4 +51,4 @@ def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> 
 
     check_jvp(value, forward, arguments, eps=eps, **limits)
     check_vjp(value, backward, arguments, eps=eps, **limits)
-    return lambda primals, cotangent: everything(primals, primals, cotangent)
+    return everything

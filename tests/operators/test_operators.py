@@ -292,8 +292,9 @@ def test_gradients_in_light_and_values(x64, name):
         operator = eqx.combine(values, rest)
         return operator.apply(light), operator.transpose(radiance), operator.apply_many(lights)
 
-    everything = check_derivatives(answers, (values, light, radiance, lights))
-    value, _, back = everything((values, light, radiance, lights), (radiance, 0 * light, np.zeros((_MANY, r, 3))))
+    arguments = values, light, radiance, lights
+    everything = check_derivatives(answers, arguments)
+    value, _, back = everything(arguments, arguments, (radiance, 0 * light, np.zeros((_MANY, r, 3))))
     np.testing.assert_allclose(back[1], value[1], rtol=1e-12, atol=1e-12)
 
 

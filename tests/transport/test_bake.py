@@ -283,7 +283,7 @@ def test_gradients_in_lobe_parameters(exact):
 
     everything = check_derivatives(value, (lobe_parameters(),))
     for cotangent in ((np.ones((2, 1, 3, 5)), np.zeros((2, 1, 3))), (np.zeros((2, 1, 3, 5)), np.ones((2, 1, 3)))):
-        _, _, (slopes,) = everything((lobe_parameters(),), cotangent)
+        _, _, (slopes,) = everything((lobe_parameters(),), (lobe_parameters(),), cotangent)
         for slope in slopes.values():
             assert np.abs(slope).max() > 1e-3
 
@@ -306,13 +306,14 @@ def test_gradients_in_maps_albedo_and_light(exact):
             for side, reflection, indices in (("maps", factors, both), ("diffuse", diffuse, INDICES))
         }
 
-    everything = check_derivatives(value, (maps, albedo, light))
+    arguments = maps, albedo, light
+    everything = check_derivatives(value, arguments)
     radiance = np.random.default_rng(5).normal(size=(2, 2, 3))
     cotangent = {
         "maps": (np.zeros((2, 2, 3, 5)), radiance),
         "diffuse": (np.zeros((2, 1, 3, 5)), np.zeros((2, 1, 3))),
     }
-    _, _, gradients = everything((maps, albedo, light), cotangent)
+    _, _, gradients = everything(arguments, arguments, cotangent)
     back = bake.bake_and_transpose(bits, frames, reflection_for("maps", 2, np.float64), directions, radiance)
     np.testing.assert_allclose(gradients[2], back, rtol=1e-12, atol=1e-14)
 
