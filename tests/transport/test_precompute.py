@@ -870,10 +870,9 @@ def test_a_damaged_header_is_one_line(copy, change):
     assert "\n" not in str(caught.value)
 
 
-def test_the_scenes_own_camera_is_the_stores(tmp_path):
-    scene = _small_scene()
-    jr.precompute(scene, PIXELS, str(tmp_path))
-    relighter = Relighter.open(str(tmp_path))
+def test_the_scenes_own_camera_is_the_stores(scene, made_pixels):
+    assert jr.precompute(scene, PIXELS, str(made_pixels)).rays == 0
+    relighter = Relighter.open(str(made_pixels))
     assert relighter.view(scene.camera).covered.any()
 
 
