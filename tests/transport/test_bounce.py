@@ -12,9 +12,9 @@ from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.reflection import of_group
-from jaxrelight.geometry import mesh as meshes
 from jaxrelight.transport import bake, bounce
 from jaxrelight.transport.load import Transport, frames_of, load
+from tests.transport.scenes import ball_on_floor
 
 SMALL = Settings(resolution=8, terms=2, factor_resolution=12, tolerance=0.0, bounces=1, gather_resolution=8)
 ROOM = dataclasses.replace(SMALL, resolution=4, gather_resolution=16)
@@ -66,13 +66,7 @@ def relative(found, wanted) -> float:
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    """A glossy object of two terms on a diffuse floor."""
-    raised = np.eye(4)
-    raised[1, 3] = 0.4
-    ball = meshes.transformed(jr.sphere(0.35, 4), raised)
-    parts = [Part(jr.plane((2, 2), 4), "floor"), Part(ball, "lacquer")]
-    materials = {"floor": jr.lambert([0.7, 0.6, 0.5]), "lacquer": jr.phong(0.3, 0.4, 6.0)}
-    return Scene(parts, materials, jr.Camera((0.5, 1.2, 2), (0, 0.2, 0), fov_y=50, width=20, height=16))
+    return ball_on_floor()
 
 
 @pytest.fixture(scope="module")
