@@ -12,7 +12,7 @@ from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.tabulated import Tabulated
 from tests.brdf.files import writers
 
-SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
+LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 SCENE = """
 [camera]
 origin = [0.4, 1.2, 1.8]
@@ -42,7 +42,7 @@ def _settings(receivers: str) -> Settings:
 
 
 def _radiance(relighter: Relighter) -> np.ndarray:
-    return np.asarray(relighter.shade(relighter.light(jr.environment(SKY)), relighter.view()))
+    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
 
 
 def test_pixels_are_lit_by_the_brdf_of_the_file_itself(tmp_path, scene):
