@@ -22,8 +22,8 @@ def derivatives(function: Callable) -> Callable:
     return everything
 
 
-def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> Callable:
-    """What `check_grads` checks of both modes, to first order.
+def check_derivatives(function: Callable, arguments: tuple) -> Callable:
+    """What `check_grads` checks of both modes, to first order: within 1e-5 in float64.
 
     Every value, numerical differences too, comes from the program that has the derivatives: compiling is what takes
     time. Arguments become arrays of NumPy, so that nothing else is compiled.
@@ -31,12 +31,11 @@ def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> 
     Args:
         function: of arrays, to a tree of arrays.
         arguments: where it is differentiated.
-        limits: atol, rtol and eps, as of `check_grads`; by default 1e-5 in float64.
 
     Returns:
         The program of `derivatives`.
     """
-    everything, eps = derivatives(function), limits.pop("eps", 1e-4)
+    everything = derivatives(function)
     arguments = jax.tree.map(np.asarray, arguments)
     nothing = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(function, *arguments))
 
@@ -49,6 +48,6 @@ def check_derivatives(function: Callable, arguments: tuple, **limits: float) -> 
     def backward(*primals):
         return value(*primals), lambda cotangent: everything(primals, primals, cotangent)[2]
 
-    check_jvp(value, forward, arguments, eps=eps, **limits)
-    check_vjp(value, backward, arguments, eps=eps, **limits)
+    check_jvp(value, forward, arguments)
+    check_vjp(value, backward, arguments)
     return everything

@@ -10,6 +10,7 @@ import functools
 import os
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -27,7 +28,7 @@ from jaxrelight.operators.stacked import Stacked
 D = 384  # texels of a 6×8² cube map
 
 
-def random(*shape: int, seed: int = 0) -> np.ndarray:
+def random(*shape: int, seed: int = 0) -> Any:
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 

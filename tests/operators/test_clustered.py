@@ -1,5 +1,7 @@
 """Clusters: what they leave out, how they are put together, and what 8 bits do to them."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from jaxrelight.operators.sparse_rows import sparse_rows
 D = 96  # texels of a 6×4² cube map
 
 
-def random(*shape: int, seed: int = 0) -> np.ndarray:
+def random(*shape: int, seed: int = 0) -> Any:
     return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
 
 

@@ -14,7 +14,7 @@ from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum, phong
-from jaxrelight.brdf.parametrisation import POLAR
+from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.transport import bake
@@ -75,7 +75,7 @@ def rows_by_formula(bits, frames, reflection: Reflection, samples: int = 1) -> n
 
 
 @functools.cache
-def case(name: str) -> tuple[tuple, Any, np.ndarray]:
+def case(name: str) -> tuple[Any, Any, np.ndarray]:
     """Bits, frames, reflection and directions of some receivers; the reflection; and the rows by the formula."""
     m = RECEIVERS[name]
     bits, frames, reflection = bits_for(m), frames_for(m), reflection_for(name, m)
@@ -111,10 +111,12 @@ def test_every_form_of_factors_is_baked_and_viewed_alike(form):
     bits, frames = bits_for(8), frames_for(8)
     maps, others = np.random.default_rng(6).uniform(size=(2, 3, 3, 12, 12)).astype(np.float32)
     if form == "symmetric":
-        reflection = Symmetric(jax.device_put(maps), np.array([[1, 1, 1], [-1, 1, -1], [1, -1, 1]], np.float32))
+        reflection = Symmetric(
+            jax.device_put(maps), jax.device_put(np.array([[1, 1, 1], [-1, 1, -1], [1, -1, 1]], np.float32))
+        )
     else:
-        sides = jax.device_put((maps, others))
-        reflection = Factored(*sides, POLAR) if form == "polar" else Factored(*sides)
+        sides = jax.device_put(maps), jax.device_put(others)
+        reflection = Factored(*sides, POLAR if form == "polar" else DISC)
     light = np.random.default_rng(0).uniform(size=(D, 3)).astype(np.float32)
     radiance, view = _seen(bits, frames, reflection, directions_for(N), light, views_for(8).astype(np.float32))
     expected = np.einsum("mkcd,dc,mkc->mc", rows_by_formula(bits, frames, reflection), light, np.asarray(view, float))
@@ -187,7 +189,7 @@ def test_white_furnace(through):
     n, m, up = 64, len(NORMALS), np.array([0, 0, 1], np.float32)
     bits = np.full((m, 6 * n * n // 8), 255, np.uint8)
     if through == "fixed view":
-        reflection = FixedView(lambert(1.0), np.tile(np.array([0, 0.6, 0.8], np.float32), (m, 1)))
+        reflection = FixedView(lambert(1.0), jax.device_put(np.tile(np.array([0, 0.6, 0.8], np.float32), (m, 1))))
     else:
         reflection = factor(lambert(1.0))
     radiance = _furnace(through, bits, unit(NORMALS).astype(np.float32), reflection, directions_for(n), up)
@@ -197,7 +199,7 @@ def test_white_furnace(through):
 def test_glossy_furnace_gives_the_albedo_for_the_exact_view():
     """Phong seen along the normal reflects diffuse + specular."""
     n, normals, up = 32, np.array([[0, 1, 0], [0, -1, 0]], np.float32), np.array([0, 0, 1], np.float32)
-    reflection = FixedView(phong(0.3, 0.5, 10), np.tile(up, (2, 1)))
+    reflection = FixedView(phong(0.3, 0.5, 10), jax.device_put(np.tile(up, (2, 1))))
     bits = np.full((2, 6 * n * n // 8), 255, np.uint8)
     radiance = _furnace("texels", bits, normals, reflection, directions_for(n), up)
     np.testing.assert_allclose(radiance, np.full((2, 3), 0.8), atol=2e-3)
@@ -211,7 +213,8 @@ def test_what_is_not_seen_does_not_light():
 def test_truncation_to_all_coefficients_is_the_rows():
     name = "fixed view"
     arguments, _, _ = case(name)
-    kept = bake.bake_truncated(*arguments, HaarFaces(N), D)
+    bits, frames, reflection, directions = arguments
+    kept = bake.bake_truncated(bits, frames, reflection, directions, HaarFaces(N), D)
     np.testing.assert_array_equal(kept.indices, np.broadcast_to(np.arange(D), kept.indices.shape))
     assert relative(kept.values, coefficients(name).astype(float)) < 1e-6
     np.testing.assert_array_equal(kept.dropped, 0)
@@ -220,7 +223,8 @@ def test_truncation_to_all_coefficients_is_the_rows():
 @pytest.mark.parametrize("name", ["fixed view", pytest.param("grey maps", marks=pytest.mark.slow)])
 def test_kept_coefficients_are_those_of_the_rows(name):
     (arguments, reflection, _), rows, count = case(name), coefficients(name).astype(float), 10
-    kept = bake.bake_truncated(*arguments, HaarFaces(N), count)
+    bits, frames, reflection, directions = arguments
+    kept = bake.bake_truncated(bits, frames, reflection, directions, HaarFaces(N), count)
     m, k, c = RECEIVERS[name], reflection.terms, reflection.channels
     assert kept.indices.shape == (m, k, count)
     assert kept.values.shape == (m, k, c, count)

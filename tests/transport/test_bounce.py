@@ -1,6 +1,7 @@
 """Bounced light: closed forms, its linearity against light gathered without compression, what is reused and refused."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -18,8 +19,8 @@ from tests.transport.scenes import ball_on_floor
 
 SMALL = Settings(resolution=8, terms=2, factor_resolution=12, tolerance=0.0, bounces=1, gather_resolution=8)
 ROOM = dataclasses.replace(SMALL, resolution=4, gather_resolution=16)
-UP = np.array([0, 0, 1], np.float32)
-LIGHT = np.random.default_rng(0).gamma(0.5, size=(6 * 8**2, 3)).astype(np.float32)
+UP: Any = np.array([0, 0, 1], np.float32)
+LIGHT: Any = np.random.default_rng(0).gamma(0.5, size=(6 * 8**2, 3)).astype(np.float32)
 
 
 def emitting(albedo: float, radiance: float = 1.0) -> Material:
@@ -148,7 +149,7 @@ def test_each_side_is_seen_by_what_is_before_it(tmp_path):
         terms = np.zeros((128 * len(above.groups), 1, 3), np.float32)
         terms[lit] = 1
         of_block = [terms if block is above else None for block in transport.blocks]
-        found = gather.light(hits, np.ones((6 * 8**2, 128, 1, 1), np.float32), of_block)
+        found = gather.light(hits, jax.device_put(np.ones((6 * 8**2, 128, 1, 1), np.float32)), of_block)
         assert (found.max() > 0.1) == is_seen
 
 
@@ -198,7 +199,7 @@ def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_p
     block, before, after = transport.blocks[0], direct.operator.operators[0], transport.operator.operators[0]
     frames = frames_of(direct.receivers, block.groups)
     (found,) = gather.rows(direct.receivers, int(block.groups[0]), frames[0], [of_group(block.reflection, 0)])
-    chosen = np.arange(0, 128 * block.reflection.terms, 17)
+    chosen: Any = np.arange(0, 128 * block.reflection.terms, 17)
     wanted = np.array(np.broadcast_to(before.rows(chosen), (len(chosen), 3, 6 * 8**2)))
     wanted[..., found.columns] += found.rows.reshape(-1, *found.rows.shape[2:])[chosen]
     assert relative(after.rows(chosen), wanted) < 1e-5

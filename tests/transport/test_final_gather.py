@@ -56,7 +56,7 @@ def gathered(surfaces, count: int, positions, light=None, **dials) -> np.ndarray
 
 def encoded(light, cloud) -> np.ndarray:
     """Light at the points in coefficients."""
-    return np.asarray(HaarFaces(cloud.side, 1).encode(np.asarray(light, np.float32)))
+    return np.asarray(HaarFaces(cloud.side, 1).encode(jax.device_put(np.asarray(light, np.float32))))
 
 
 def test_a_square_overhead():
@@ -117,7 +117,7 @@ def test_rows_are_those_of_every_part_when_nothing_is_taken_together():
     ((columns, rows, _),) = gather.rows(upwards(place), 0, np.tile(FRAME, (2, 1, 1)), [white(2)])
     whole = np.zeros((2, 256))
     whole[:, columns] = rows[:, 0, 0]
-    found = np.asarray(HaarFaces(16, 1).decode(whole.astype(np.float32)))
+    found = np.asarray(HaarFaces(16, 1).decode(jax.device_put(whole.astype(np.float32))))
     for receiver in range(2):
         wanted = kernel_at_parts(cloud, tracer, place[receiver], np.array([0.0, 1, 0]))
         assert (wanted == 0).any()

@@ -99,12 +99,12 @@ def test_vertices_are_lit_by_factors_of_it(tmp_path, scene):
 
 
 def test_what_was_mended_is_told(tmp_path):
-    fields = writers.rgl_fields()
+    fields = writers.rgl_fields(size=24)
     fields["rgb"][0, 1, :, 2, 2] = -0.01
     (tmp_path / "paint.bsdf").write_bytes(writers.tensor_file(fields))
     (tmp_path / "scene.toml").write_text(SCENE)
     notes = jr.load_scene(tmp_path / "scene.toml").notes
-    assert "material paint: paint.bsdf: 3 of 432 values were negative, down to -0.01, and are taken as 0" in notes
+    assert "material paint: paint.bsdf: 3 of 6,912 values were negative, down to -0.01, and are taken as 0" in notes
     json.dumps(notes)
 
 

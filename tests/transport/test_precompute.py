@@ -697,6 +697,7 @@ def lit(small: Relighter):
     return derivatives(light_and_picture)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_gradient_of_the_picture_in_the_light(small: Relighter, sky):
     """Environment pixels → light vector → terms → picture, with rotation and scale."""
@@ -719,20 +720,23 @@ def _single(tree):
     return jax.tree.map(np.float32, tree)
 
 
-def test_gradient_of_the_light_vector_in_float32(small: Relighter, lit, sky):
+@pytest.mark.parametrize("of", ["light vector", "picture"])
+def test_gradients_in_the_light_in_float32(small: Relighter, lit, sky, of):
     """As it is used: linear in pixels and scale, and in the rotation within a pixel's 45°."""
     generator, pixels = np.random.default_rng(0), _single(sky)
-    weights = _single(generator.normal(size=(6 * SETTINGS.resolution**2, 3)))
-    cotangent = weights, np.zeros((*small.view().shape, 3), np.float32)
+    shapes = (6 * SETTINGS.resolution**2, 3), (*small.view().shape, 3)
+    weights = [_single(generator.normal(size=shape)) for shape in shapes]
+    number = ["light vector", "picture"].index(of)
+    cotangent = tuple(part * np.float32(i == number) for i, part in enumerate(weights))
 
     def value(*point) -> float:
-        return float(np.vdot(weights, lit(_single(point), _single(point), cotangent)[0][0]))
+        return float(np.vdot(weights[number], lit(_single(point), _single(point), cotangent)[0][number]))
 
     def slopes(point, direction) -> list[float]:
         """In a direction, and as the gradients' product with it."""
-        _, (along, _), gradients = lit(_single(point), _single(direction), cotangent)
+        _, along, gradients = lit(_single(point), _single(direction), cotangent)
         products = [np.vdot(gradient, step) for gradient, step in zip(gradients, direction, strict=True)]
-        return [float(np.vdot(weights, along)), float(sum(products))]
+        return [float(np.vdot(weights[number], along[number])), float(sum(products))]
 
     for low, high in (((10.0, 1.5), (30.0, 1.5)), ((10.0, 1.5), (10.0, 3.5))):
         step, middle = np.subtract(high, low), np.add(high, low) / 2
