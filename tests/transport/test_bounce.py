@@ -119,7 +119,7 @@ def test_emission_is_seen_and_lights_what_does_not_emit(tmp_path):
     assert relative(pictures[3], pictures[2]) < 0.1
 
 
-@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("two_sided", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_only_fronts_emit(tmp_path, two_sided):
     """A lamp that faces up over a floor: its back is dark unless it is a surface, too."""
     lamp = jr.plane((1, 1), 2)
