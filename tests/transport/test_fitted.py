@@ -11,7 +11,7 @@ from jaxrelight.brdf.files.fitted import write_factors, write_lobes
 from jaxrelight.brdf.lobes import lobe, lobe_sum
 from jaxrelight.brdf.separable import separable
 
-SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
+LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 SCENE = """
 [camera]
 origin = [0.4, 1.2, 1.8]
@@ -51,7 +51,7 @@ def _relighter(scene, receivers: str, folder) -> Relighter:
 
 
 def _radiance(relighter: Relighter) -> np.ndarray:
-    return np.asarray(relighter.shade(relighter.light(jr.environment(SKY)), relighter.view()))
+    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])

@@ -12,7 +12,7 @@ from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.tabulated import Tabulated
 from tests.brdf.files import writers
 
-SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
+LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 SCENE = """
 [camera]
 origin = [0.4, 1.2, 1.8]
@@ -42,7 +42,7 @@ def _settings(receivers: str) -> Settings:
 
 
 def _radiance(relighter: Relighter) -> np.ndarray:
-    return np.asarray(relighter.shade(relighter.light(jr.environment(SKY)), relighter.view()))
+    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
 
 
 def test_pixels_are_lit_by_the_brdf_of_the_file_itself(tmp_path, scene):
@@ -99,12 +99,12 @@ def test_vertices_are_lit_by_factors_of_it(tmp_path, scene):
 
 
 def test_what_was_mended_is_told(tmp_path):
-    fields = writers.rgl_fields()
+    fields = writers.rgl_fields(size=24)
     fields["rgb"][0, 1, :, 2, 2] = -0.01
     (tmp_path / "paint.bsdf").write_bytes(writers.tensor_file(fields))
     (tmp_path / "scene.toml").write_text(SCENE)
     notes = jr.load_scene(tmp_path / "scene.toml").notes
-    assert "material paint: paint.bsdf: 3 of 432 values were negative, down to -0.01, and are taken as 0" in notes
+    assert "material paint: paint.bsdf: 3 of 6,912 values were negative, down to -0.01, and are taken as 0" in notes
     json.dumps(notes)
 
 

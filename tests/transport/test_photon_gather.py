@@ -35,7 +35,8 @@ def test_a_closed_room_is_its_series(tmp_path, bounces):
 def test_a_picture_is_that_of_gathering(tmp_path):
     scene = room([0.7, 0.6, 0.5], None, (ball("gloss"),), gloss=jr.phong(0.2, 0.5, 20.0))
     lamp = [point([0.1, 0.2, 0.05], [1.0, 0.8, 0.6])]
-    photons, gathered = (opened(scene, tmp_path, **PHOTONS | {"photons": count}) for count in (100_000, 0))
+    dials = PHOTONS | {"gather_samples": 256}
+    photons, gathered = (opened(scene, tmp_path, **dials | {"photons": count}) for count in (100_000, 0))
     one, other = (np.asarray(each.indirect(lamp)) for each in (photons, gathered))
     assert np.linalg.norm(one - other) < 0.05 * np.linalg.norm(other)
     with pytest.raises(InputError, match="photons were shot for 3 bounces, not 2"):

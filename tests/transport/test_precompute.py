@@ -11,12 +11,12 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.test_util import check_grads
 
 import jaxrelight as jr
 from jaxrelight import InputError, Part, Relighter, Scene, Settings, store
@@ -31,6 +31,7 @@ from jaxrelight.lights.environment import encode
 from jaxrelight.transport import layers as stages
 from jaxrelight.transport.load import stored_environment
 from jaxrelight.transport.material_rows import MaterialRows
+from tests.operators.derivatives import check_derivatives, derivatives
 
 # One set of shapes for most of the file: compiling is what takes time here.
 SETTINGS = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
@@ -86,12 +87,6 @@ def _image(folder: pathlib.Path, scene: Scene) -> np.ndarray:
 
 def _relative(found, wanted) -> float:
     return float(np.linalg.norm(np.subtract(found, wanted)) / np.linalg.norm(wanted))
-
-
-def _light(scene: Scene, transport) -> np.ndarray:
-    """The scene's light vector in a transport's basis."""
-    assert scene.environment is not None
-    return np.asarray(Relighter(transport).light_vector(jnp.asarray(scene.environment.pixels[::8, ::8])))
 
 
 # What is there is used again.
@@ -156,18 +151,19 @@ def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tm
     assert [name.partition("-")[0] for name in _layers(tmp_path / "a") - old] == ["transport"]
 
 
-@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+@pytest.mark.parametrize("receivers", ["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def test_equal_materials_of_two_names_have_layers_of_their_own(tmp_path, receivers: str):
     """The picture is that of one material on all meshes, whose receivers are other groups."""
-    scene = _small_scene()
+    scene, light = _small_scene(), np.random.default_rng(1).random((6 * SETTINGS.resolution**2, 3)).astype(np.float32)
     gloss = scene.materials["gloss"]
-    settings = Settings(receivers, resolution=4, terms=2, coefficients=24, factor_resolution=8)
+    settings = dataclasses.replace(SETTINGS, receivers=receivers)
     both = dataclasses.replace(scene, materials={"paper": gloss, "gloss": gloss})
     one = dataclasses.replace(both, parts=[dataclasses.replace(part, material="gloss") for part in scene.parts])
     images = []
     for name, same in (("both", both), ("one", one)):
         jr.precompute(same, settings, tmp_path / name)
-        images.append(_image(tmp_path / name, same))
+        relighter = Relighter.open(tmp_path / name)
+        images.append(np.asarray(relighter.shade(relighter.terms(light), relighter.view())))
     assert len(list((tmp_path / "both").glob("transport-*"))) == 2
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5, atol=1e-6)
 
@@ -204,7 +200,7 @@ def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, 
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
     materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
     scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
-    settings = Settings(resolution=8, terms=2, coefficients=8, factor_resolution=8)
+    settings = dataclasses.replace(SETTINGS, coefficients=8)
     jr.precompute(scene, settings, tmp_path)
     old = _layers(tmp_path)
     before = _files(tmp_path)
@@ -484,28 +480,47 @@ def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: in
 # What is left out is bounded, and what is kept is right.
 
 
-@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+@pytest.mark.parametrize("receivers", ["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def test_all_coefficients_kept_is_all_of_them(tmp_path, receivers: str):
-    scene = _small_scene()
-    settings = Settings(receivers, resolution=4, terms=2, coefficients=6 * 4**2, factor_resolution=8)
+    scene, count = _small_scene(), 6 * SETTINGS.resolution**2
+    settings = dataclasses.replace(SETTINGS, receivers=receivers, coefficients=count)
     jr.precompute(scene, settings, tmp_path)
     kept = jr.load(tmp_path)
     jr.precompute(scene, dataclasses.replace(settings, coefficients="all"), tmp_path)
     streamed = jr.load(tmp_path)
     assert kept.kept == pytest.approx(1, abs=1e-12)
     assert all(block.dropped is None for block in streamed.blocks)
-    pixels = jnp.asarray(np.random.default_rng(0).gamma(0.3, size=(8, 16, 3)), jnp.float32)
-    terms = [Relighter(t).terms(Relighter(t).light_vector(pixels)) for t in (kept, streamed, jr.exact(kept))]
+    light = np.random.default_rng(0).gamma(0.3, size=(count, 3)).astype(np.float32)
+    encoded = _encode(light.T).T
+    terms = [Relighter(t).terms(x) for t, x in ((kept, encoded), (streamed, light), (jr.exact(kept), light))]
     for part, wanted, exact in zip(*terms, strict=True):
         assert _relative(part, wanted) < 1e-5
         np.testing.assert_array_equal(wanted, exact)
+    # Nor does baking again change what is streamed.
+    again = Relighter(jr.rebake(streamed, streamed.reflections)).terms(light)
+    for part, wanted in zip(again, terms[1], strict=True):
+        np.testing.assert_array_equal(part, wanted)
 
 
-def test_error_never_exceeds_what_was_dropped(small, sky):
+@jax.jit
+def _coefficients(texels):
+    return HaarFaces(SETTINGS.resolution).encode(texels)
+
+
+@jax.jit
+def _texels(coefficients):
+    return HaarFaces(SETTINGS.resolution).decode(coefficients)
+
+
+def _encode(texels) -> np.ndarray:
+    """Light over texels [3, d] in coefficients."""
+    return np.asarray(_coefficients(np.asarray(texels, np.float32)))
+
+
+def test_error_never_exceeds_what_was_dropped(small):
     """|Tx − T'x| ≤ ‖x‖·√dropped for every row, and equal for the light that is the dropped row itself."""
     transport = small.transport
     exact = jr.exact(transport)
-    basis = HaarFaces(transport.settings.resolution)
     generator = np.random.default_rng(2)
     count, d, _ = transport.operator.shape
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
@@ -513,35 +528,35 @@ def test_error_never_exceeds_what_was_dropped(small, sky):
     assert bound.shape == (count, 3)
 
     def error(light):
-        kept = Relighter(transport).terms(jnp.asarray(light, jnp.float32))
-        whole = Relighter(exact).terms(basis.decode(jnp.asarray(light.T, jnp.float32)).T)
+        light = light.astype(np.float32)
+        kept = Relighter(transport).terms(light)
+        whole = Relighter(exact).terms(np.asarray(_texels(light.T)).T)
         receivers = [128 * len(block.groups) for block in transport.blocks]
-        parts = zip(kept, whole, receivers, strict=True)
+        parts = [(np.asarray(a), np.asarray(b), count) for a, b, count in zip(kept, whole, receivers, strict=True)]
         return np.abs(np.concatenate([(a - b)[:count].reshape(-1, 3) for a, b, count in parts]))
 
     spike = np.zeros((d, 3))
     spike[generator.integers(d)] = 1e5
-    sun = np.asarray(basis.encode(jnp.asarray(spike.T))).T
-    lights = [
-        np.asarray(small.light_vector(jnp.asarray(sky, jnp.float32))),
-        generator.normal(size=(d, 3)) ** 3,
-        spike,
-        sun,
-    ]
+    soft = generator.gamma(0.5, size=(3, d))
+    lights = [_encode(soft).T, generator.normal(size=(d, 3)) ** 3, spike, _encode(spike.T).T]
     for light in lights:
         assert (error(light) <= np.linalg.norm(light, axis=0) * (bound + 1e-6)).all()
 
-    rows = jnp.asarray(generator.integers(count, size=2))
-    left = basis.encode(exact.operator.rows(rows)) - transport.operator.rows(rows)
-    for row, light in zip(np.asarray(rows), np.asarray(left), strict=True):
-        worst = error(light.T)
-        assert (worst <= np.linalg.norm(light, axis=-1) * (bound + 1e-6)).all()
-        np.testing.assert_allclose(worst[row], np.linalg.norm(light, axis=-1) * bound[row], rtol=1e-3, atol=1e-6)
+    starts = transport.operator.starts[:-1]
+    for kept, whole, start in zip(transport.operator.operators, exact.operator.operators, starts, strict=True):
+        row = generator.integers(kept.shape[0])
+        whole, kept = (np.broadcast_to(each.rows(np.array([row]))[0], (3, d)) for each in (whole, kept))
+        left = _encode(whole) - kept
+        worst, number = error(left.T), start + row
+        assert (worst <= np.linalg.norm(left, axis=-1) * (bound + 1e-6)).all()
+        np.testing.assert_allclose(worst[number], np.linalg.norm(left, axis=-1) * bound[number], rtol=1e-3, atol=1e-6)
 
 
 def test_kept_energy_is_that_of_the_rows(small, tmp_path):
     transport = small.transport
-    jr.precompute(_small_scene(), dataclasses.replace(transport.settings, coefficients=6 * 4**2), tmp_path)
+    jr.precompute(
+        _small_scene(), dataclasses.replace(transport.settings, coefficients=6 * SETTINGS.resolution**2), tmp_path
+    )
 
     def energy(operators):
         return sum(float(np.square(part.values, dtype=float).sum()) * 3 / part.shape[2] for part in operators)
@@ -554,34 +569,30 @@ def test_kept_energy_is_that_of_the_rows(small, tmp_path):
         assert block.dropped.shape == part.shape[::2]
 
 
-@pytest.mark.parametrize("coefficients", [32, "all"])
-def test_rebake_gives_what_is_stored(scene, tmp_path, made, coefficients):
-    if coefficients == "all":
-        jr.precompute(scene, dataclasses.replace(SETTINGS, coefficients="all"), tmp_path)
-    transport = jr.load(made if coefficients != "all" else tmp_path)
+def test_rebake_gives_what_is_stored(small):
+    transport = small.transport
     again = jr.rebake(transport, transport.reflections).operator
-    light = jnp.asarray(_light(scene, transport))
-    if coefficients == "all":
-        np.testing.assert_array_equal(again.apply(light), transport.operator.apply(light))
-        return
     for new, old in zip(again.operators, transport.operator.operators, strict=True):
         np.testing.assert_array_equal(new.indices, old.indices)
         for found, wanted in zip(new.values, old.values, strict=True):
-            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7 * float(jnp.abs(wanted).max()))
+            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7 * float(np.abs(wanted).max()))
 
 
-def test_rebake_with_another_material_keeps_the_sets(made):
-    transport = jr.load(made)
-    number = transport.names.index("lacquer")
-    maps = transport.reflections[number]
-    assert isinstance(maps, Factored)
+def test_rebake_with_another_material_keeps_the_sets(small):
+    transport = small.transport
+    number = transport.names.index("gloss")
+    # Rows are linear in the light maps, or in the albedo and the lobes' scale.
+    linear = [".light_maps", ".brdf.diffuse", ".brdf.scale"]
     reflections = list(transport.reflections)
-    reflections[number] = Factored(2 * maps.light_maps, maps.view_maps)
+    reflections[number] = jax.tree_util.tree_map_with_path(
+        lambda path, x: jax.device_put(np.asarray(x) * np.float32(2 if jax.tree_util.keystr(path) in linear else 1)),
+        reflections[number],
+    )
     again = jr.rebake(transport, reflections).operator
     for i, (new, old) in enumerate(zip(again.operators, transport.operator.operators, strict=True)):
         np.testing.assert_array_equal(new.indices, old.indices)
         factor = 2 if i == number else 1
-        np.testing.assert_allclose(new.values[0], factor * old.values[0], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(new.values[0], factor * np.asarray(old.values[0]), rtol=1e-5, atol=1e-6)
 
 
 # The picture does not depend on how it is asked for.
@@ -659,11 +670,10 @@ def _small_scene() -> Scene:
 
 @pytest.fixture(scope="module", params=["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def small(request, tmp_path_factory) -> Relighter:
-    settings = Settings(request.param, resolution=4, terms=2, coefficients=24, factor_resolution=8)
     folder = tmp_path_factory.mktemp("small")
-    jr.precompute(_small_scene(), settings, folder)
+    jr.precompute(_small_scene(), dataclasses.replace(SETTINGS, receivers=request.param), folder)
     # Tables of the resampling are made once, here in float32.
-    latlong.area_resampling(4, 8, 4)
+    latlong.area_resampling(4, 8, SETTINGS.resolution)
     return Relighter.open(folder)
 
 
@@ -674,118 +684,118 @@ def sky() -> np.ndarray:
     return environment.pixels.astype(np.float64)
 
 
-def _double(tree):
-    """Floating point arrays in float64."""
+@pytest.fixture(scope="module")
+def lit(small: Relighter):
+    """Environment pixels, rotation and scale → light vector and picture, and the derivatives of both."""
+    view = small.view()
 
-    def widened(x):
-        return x.astype(jnp.float64) if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating) else x
+    def light_and_picture(pixels, rotate_y, scale):
+        light = small.light_vector(pixels, rotate_y, scale)
+        return light, small.shade(small.terms(light), view)
 
-    return jax.tree.map(widened, tree)
+    return derivatives(light_and_picture)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_gradient_of_the_picture_in_the_light(small: Relighter, sky):
     """Environment pixels → light vector → terms → picture, with rotation and scale."""
     view = small.view()
-    resampling = latlong.area_resampling(4, 8, 4)
+    resampling = latlong.area_resampling(4, 8, SETTINGS.resolution)
 
-    @jax.jit
     def picture(pixels, rotate_y, scale):
         light = encode(pixels, rotate_y, scale, resampling, small.transport.basis)
         return small.shade(small.terms(light), view)
 
-    arguments = jnp.asarray(sky), jnp.asarray(10.0), jnp.asarray(1.5)
-    assert picture(*arguments).dtype == jnp.float64
-    check_grads(jax.jit(picture), arguments, order=1, modes=("fwd", "rev"), atol=1e-5, rtol=1e-5)
+    arguments = sky, np.array(10.0), np.array(1.5)
+    everything = check_derivatives(picture, arguments)
     # The picture is linear in pixels and scale, so it is its own derivative.
-    _, tangent = jax.jvp(lambda scale: picture(arguments[0], arguments[1], scale), (arguments[2],), (jnp.asarray(1.5),))
-    np.testing.assert_allclose(tangent, picture(*arguments), rtol=1e-6, atol=1e-9)
+    value, along, _ = everything(arguments, (0 * sky, np.array(0.0), np.array(1.5)), np.zeros((*view.shape, 3)))
+    assert value.dtype == np.float64
+    np.testing.assert_allclose(along, value, rtol=1e-6, atol=1e-9)
 
 
-def test_gradient_of_the_light_vector_in_float32(small: Relighter, sky):
+def _single(tree):
+    return jax.tree.map(np.float32, tree)
+
+
+@pytest.mark.parametrize("of", ["light vector", "picture"])
+def test_gradients_in_the_light_in_float32(small: Relighter, lit, sky, of):
     """As it is used: linear in pixels and scale, and in the rotation within a pixel's 45°."""
-    pixels, weights = jnp.asarray(sky, jnp.float32), jnp.asarray(np.random.default_rng(0).normal(size=(96, 3)))
+    generator, pixels = np.random.default_rng(0), _single(sky)
+    shapes = (6 * SETTINGS.resolution**2, 3), (*small.view().shape, 3)
+    weights = [_single(generator.normal(size=shape)) for shape in shapes]
+    number = ["light vector", "picture"].index(of)
+    cotangent = tuple(part * np.float32(i == number) for i, part in enumerate(weights))
 
-    def loss(rotate_y, scale):
-        return jnp.sum(weights * small.light_vector(pixels, rotate_y, scale))
+    def value(*point) -> float:
+        return float(np.vdot(weights[number], lit(_single(point), _single(point), cotangent)[0][number]))
 
-    for argument, low, high in ((0, (10.0, 1.5), (30.0, 1.5)), (1, (10.0, 1.5), (10.0, 3.5))):
-        slope = (loss(*high) - loss(*low)) / (high[argument] - low[argument])
-        point = tuple(jnp.asarray((a + b) / 2, jnp.float32) for a, b in zip(low, high, strict=True))
-        for derivative in (jax.jacfwd, jax.jacrev):
-            assert float(derivative(loss, argnums=argument)(*point)) == pytest.approx(float(slope), rel=1e-3)
-    check_grads(lambda p: small.light_vector(p, 10.0, 1.5), (pixels,), order=1, modes=("fwd", "rev"), eps=1.0)
+    def slopes(point, direction) -> list[float]:
+        """In a direction, and as the gradients' product with it."""
+        _, along, gradients = lit(_single(point), _single(direction), cotangent)
+        products = [np.vdot(gradient, step) for gradient, step in zip(gradients, direction, strict=True)]
+        return [float(np.vdot(weights[number], along[number])), float(sum(products))]
 
-
-def _picture(relighter: Relighter, reflections, light, view):
-    """The picture with other reflections on the same visibility."""
-    changed = Relighter(jr.rebake(relighter.transport, reflections))
-    return changed.shade(changed.terms(light), view)
-
-
-@pytest.mark.usefixtures("x64")
-def test_gradient_of_the_picture_in_the_material(small: Relighter, sky):
-    """Lobe parameters where the view is fixed, factor maps where it is free, by baking again."""
-    view = small.view()
-    light = small.light_vector(jnp.asarray(sky))
-    reflections = list(small.transport.reflections)
-    number = small.transport.names.index("gloss")
-    old = reflections[number]
-    if isinstance(old, FixedView):
-        assert isinstance(old.brdf, LobeSum)
-        parameters = _double(old.brdf)
-    else:
-        assert isinstance(old, Factored)
-        parameters = _double(old)
-
-    def changed(parameters):
-        return FixedView(parameters, old.omega_o) if isinstance(old, FixedView) else parameters
-
-    @jax.jit
-    def picture(parameters):
-        reflections[number] = changed(parameters)
-        return _picture(small, reflections, light, view)
-
-    assert picture(parameters).dtype == jnp.float64
-    check_grads(jax.jit(picture), (parameters,), order=1, modes=("fwd", "rev"), atol=1e-5, rtol=1e-5)
-    _, tangent = jax.jvp(picture, (parameters,), (parameters,))
-    assert float(jnp.abs(tangent).max()) > 0.01
+    for low, high in (((10.0, 1.5), (30.0, 1.5)), ((10.0, 1.5), (10.0, 3.5))):
+        step, middle = np.subtract(high, low), np.add(high, low) / 2
+        wanted = value(pixels, *high) - value(pixels, *low)
+        for found in slopes((pixels, *middle), (0 * pixels, *step)):
+            assert found == pytest.approx(wanted, rel=1e-3)
+    other = generator.normal(size=pixels.shape)
+    for found in slopes((pixels, 10.0, 1.5), (other, 0.0, 0.0)):
+        assert found == pytest.approx(value(other, 10.0, 1.5), rel=1e-3)
 
 
-@pytest.mark.usefixtures("x64")
-def test_gradient_in_the_albedo_is_the_picture_itself(small: Relighter, sky):
-    """Radiance of a diffuse surface is proportional to its albedo: the derivative is known."""
-    view, light = small.view(), small.light_vector(jnp.asarray(sky))
-    number = small.transport.names.index("paper")
-    paper = small.transport.reflections[number]
-    assert isinstance(paper, Factored)
-
-    def picture(albedo):
-        reflections = list(small.transport.reflections)
-        reflections[number] = Factored(paper.light_maps, albedo * paper.view_maps)
-        return _picture(small, reflections, light, view)
-
-    value, tangent = jax.jvp(picture, (jnp.asarray(1.0),), (jnp.asarray(1.0),))
-    on_paper = np.zeros(view.shape, bool)
-    on_paper.ravel()[np.asarray(view.materials[number].pixel)[np.asarray(view.materials[number].weights)[:, 0] > 0]] = 1
-    assert on_paper.sum() > 5
-    np.testing.assert_allclose(np.asarray(tangent)[on_paper], np.asarray(value)[on_paper], rtol=1e-6, atol=1e-9)
-    assert not np.asarray(tangent)[~on_paper].any()
-
-
-def test_gradients_are_finite_at_the_extremes(small: Relighter):
-    """A black map, and one bright texel."""
-    view = small.view()
+def test_gradients_are_finite_at_the_extremes(small: Relighter, lit):
+    """A black map, and one bright texel: of the sum of squares of the picture."""
+    light = np.zeros((6 * SETTINGS.resolution**2, 3), np.float32)
+    black = np.zeros((*small.view().shape, 3), np.float32)
     spike = np.zeros((4, 8, 3), np.float32)
     spike[1, 3] = 1e5
-
-    def loss(pixels, rotate_y):
-        return jnp.sum(small.shade(small.terms(small.light_vector(pixels, rotate_y)), view) ** 2)
-
     for pixels in (np.zeros((4, 8, 3), np.float32), spike):
-        value, gradients = jax.value_and_grad(loss, argnums=(0, 1))(jnp.asarray(pixels), jnp.float32(0))
-        assert np.isfinite(value)
+        point = _single((pixels, 0.0, 1.0))
+        (_, picture), _, _ = lit(point, point, (light, black))
+        _, _, gradients = lit(point, point, (light, 2 * np.asarray(picture)))
+        assert np.isfinite(np.sum(np.square(picture)))
         assert all(np.isfinite(gradient).all() for gradient in gradients)
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradient_of_the_picture_in_the_materials(small: Relighter):
+    """Lobe parameters where the view is fixed, factor maps where it is free, by baking again.
+
+    Radiance of a diffuse surface is proportional to its albedo: its derivative is the picture itself.
+    """
+    view, transport = small.view(), small.transport
+    light = np.random.default_rng(6).gamma(0.5, size=(6 * SETTINGS.resolution**2, 3))
+    gloss, number = (transport.names.index(name) for name in ("gloss", "paper"))
+    old, paper = transport.reflections[gloss], transport.reflections[number]
+    assert isinstance(paper, Factored)
+    parameters: Any = old.brdf if isinstance(old, FixedView) else old
+    assert isinstance(parameters, LobeSum | Factored)
+    parameters = jax.tree.map(lambda x: np.asarray(x, float), parameters)
+
+    def picture(parameters, albedo):
+        reflections = list(transport.reflections)
+        reflections[gloss] = FixedView(parameters, old.omega_o) if isinstance(old, FixedView) else parameters
+        reflections[number] = Factored(paper.light_maps, albedo * paper.view_maps)
+        changed = Relighter(jr.rebake(transport, reflections))
+        return changed.shade(changed.terms(jnp.asarray(light)), view)
+
+    arguments = parameters, np.array(1.0)
+    everything = check_derivatives(picture, arguments)
+    still, nothing = jax.tree.map(np.zeros_like, parameters), np.zeros((*view.shape, 3))
+    value, along, _ = everything(arguments, (parameters, np.array(0.0)), nothing)
+    assert value.dtype == np.float64
+    assert float(np.abs(along).max()) > 0.01
+    _, along, _ = everything(arguments, (still, np.array(1.0)), nothing)
+    pixels = view.materials[number]
+    on_paper = np.zeros(view.shape, bool)
+    on_paper.ravel()[np.asarray(pixels.pixel)[np.asarray(pixels.weights)[:, 0] > 0]] = 1
+    assert on_paper.sum() > 5
+    np.testing.assert_allclose(np.asarray(along)[on_paper], np.asarray(value)[on_paper], rtol=1e-6, atol=1e-9)
+    assert not np.asarray(along)[~on_paper].any()
 
 
 # What is compiled once stays compiled.
@@ -839,13 +849,11 @@ def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
 
 
 def test_a_material_may_have_its_own_number_of_terms(tmp_path):
-    scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 3})
-    glossy = {name for name, brdf in scene.materials.items() if not brdf.is_constant}
-    settings = Settings("vertices", resolution=4, terms=2, coefficients=24, factor_resolution=8)
-    jr.precompute(scene, settings, tmp_path)
+    scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 2})
+    jr.precompute(scene, dataclasses.replace(SETTINGS, terms=3), tmp_path)
     transport = jr.load(tmp_path)
-    for name, reflection in zip(transport.names, transport.reflections, strict=True):
-        assert reflection.terms == (scene.terms.get(name, 2) if name in glossy else 1)
+    found = {name: reflection.terms for name, reflection in zip(transport.names, transport.reflections, strict=True)}
+    assert found == {"paper": 1, "gloss": 2}
 
 
 @pytest.mark.parametrize(
@@ -857,21 +865,17 @@ def test_a_material_may_have_its_own_number_of_terms(tmp_path):
         {"materials": [{"name": "x", "brdf": {"kind": "unknown", "arrays": {}}, "factors": None}] * 2},
     ],
 )
-def test_a_damaged_header_is_one_line(tmp_path, change):
-    settings = Settings("vertices", resolution=4, terms=1, coefficients=8, factor_resolution=8)
-    jr.precompute(_small_scene(), settings, tmp_path)
-    header = json.loads((tmp_path / "store.json").read_text())
-    (tmp_path / "store.json").write_text(json.dumps({**header, **change}))
+def test_a_damaged_header_is_one_line(copy, change):
+    header = json.loads((copy / "store.json").read_text())
+    (copy / "store.json").write_text(json.dumps({**header, **change}))
     with pytest.raises(jr.InputError, match="precompute") as caught:
-        jr.load(str(tmp_path))
+        jr.load(str(copy))
     assert "\n" not in str(caught.value)
 
 
-def test_the_scenes_own_camera_is_the_stores(tmp_path):
-    scene = _small_scene()
-    settings = Settings("pixels", resolution=4, coefficients=8)
-    jr.precompute(scene, settings, str(tmp_path))
-    relighter = Relighter.open(str(tmp_path))
+def test_the_scenes_own_camera_is_the_stores(scene, made_pixels):
+    assert jr.precompute(scene, PIXELS, str(made_pixels)).rays == 0
+    relighter = Relighter.open(str(made_pixels))
     assert relighter.view(scene.camera).covered.any()
 
 
