@@ -20,6 +20,7 @@ PROGRAMS = (
     "mesh_size",
     "large_scenes",
     "second_render",
+    "starts",
     "quantised_rows",
     "clusters",
     "changed_light",

@@ -12,6 +12,8 @@ from jaxrelight import InputError, Part, Scene, Settings
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lights.local import directional, point, spot
+from jaxrelight.transport import indirect
+from jaxrelight.transport.gather_cloud import gather_cloud
 from tests.transport.test_final_gather import kernel_at_parts
 
 SMALL = Settings("pixels", gather_samples=256, bounces=3, tolerance=0.0)
@@ -150,6 +152,23 @@ def test_what_is_there_is_used_again(scene, folder, relighter):
     assert all(path.stat().st_mtime_ns == time for path, time in times.items())
     darker = np.asarray(opened(other, folder).indirect([LAMP])).sum()
     assert darker < 0.5 * np.asarray(relighter.indirect([LAMP])).sum()
+
+
+def test_points_are_read_from_the_store_and_made_again_when_damaged(scene, folder, monkeypatch):
+    made, times = [], []
+    monkeypatch.setattr(
+        indirect, "gather_cloud", lambda *given, **dials: made.append(1) or gather_cloud(*given, **dials)
+    )
+    header = jr.precompute(scene, SMALL, folder).header
+    assert not made
+    (file,) = (folder / header["cloud"]).glob("0*")
+    whole = file.read_bytes()
+    for damaged in (whole[:-9], None):
+        file.write_bytes(damaged) if damaged else file.unlink()
+        assert jr.precompute(scene, SMALL, folder).header == header
+        assert file.read_bytes() == whole
+        times.append(len(made))
+    assert times == [1, 2]
 
 
 def test_stores_of_another_kind_are_refused(tmp_path):
