@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
@@ -32,7 +33,7 @@ class Sky(Light):
 
     def parts(self) -> Sequence[Directional]:
         """A directional light each."""
-        if any(isinstance(of, jax.core.Tracer) for of in (self.directions, self.irradiance)):
+        if any(isinstance(of, Tracer) for of in (self.directions, self.irradiance)):
             each = zip(-self.directions, self.irradiance, strict=True)
         else:
             # Cut up on the host, where nothing is compiled for their number.

@@ -149,9 +149,11 @@ def sparse_rows(
     m = -(-held // b)
     host = all(isinstance(array, np.ndarray) for array in jax.tree.leaves((indices, values)))
 
-    if not host:
-        return SparseRows(*_compiled_blocks(indices, values, b, m, columns), r, columns)
-    return SparseRows(*jax.device_put(_blocks(np, indices, values, b, m, columns)), r, columns)
+    if host:
+        in_blocks, by_channel = jax.device_put(_blocks(np, indices, values, b, m, columns))
+    else:
+        in_blocks, by_channel = _compiled_blocks(indices, values, b, m, columns)
+    return SparseRows(in_blocks, by_channel, r, columns)
 
 
 def _blocks(xp, indices, values, b: int, m: int, columns: int):

@@ -381,7 +381,7 @@ def remaining(transport: Transport, before: Transport | None, albedo: float) -> 
 
 def _lit(transport: Transport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Radiance along the normals of all vertices: under an even white sky, and by the light that surfaces emit."""
-    white = np.asarray(transport.basis.encode(np.ones(transport.operator.shape[1], np.float32)))
+    white = np.asarray(transport.basis.encode(as_array(np.ones(transport.operator.shape[1], np.float32))))
     at_normal = [np.asarray(rows, np.float32) for rows in ([[0.0, 0.0, 1.0]], [[0.0, 0.0]], [1.0])]
     reflected, emitted = [], []
     for block, operator in transport.each:
