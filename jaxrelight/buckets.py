@@ -19,8 +19,8 @@ def bucket(count: int, least: int, steps: int = 8) -> int:
 
 
 def image_bucket(length: int) -> int:
-    """The next number of rows or columns of which images are worked on: a multiple of 32, above 256 one of few."""
-    return bucket(length, 256) if length > 256 else -(-length // 32) * 32
+    """The next number of rows or columns that images are worked on in: multiples of 32 from 64 on, few above 256."""
+    return bucket(length, 256) if length > 256 else max(64, -(-length // 32) * 32)
 
 
 def filled_up(rows: np.ndarray, length: int, fill: int = 0) -> np.ndarray:
