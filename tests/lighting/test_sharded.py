@@ -28,9 +28,9 @@ def lit(relighter):
     gradient = jax.grad(lambda sky: (picture(sky) ** 2).sum())(sky)
     return relighter.terms(relighter.light_vector(sky)), picture(sky), gradient
 
-for operator in "clusters", "rows":
-    folder = f"{sys.argv[1]}/{operator}"
-    jr.precompute(scene, jr.Settings(resolution=8, operator=operator, coefficients=48), folder)
+for coefficients in "shared", 48:
+    folder = f"{sys.argv[1]}/{coefficients}"
+    jr.precompute(scene, jr.Settings(resolution=8, coefficients=coefficients), folder)
     transport = jr.load(folder)
     mesh = jax.make_mesh((4,), ("groups",))
     spread = dataclasses.replace(transport, operator=sharded(transport.operator, mesh))
