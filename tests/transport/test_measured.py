@@ -118,7 +118,7 @@ def test_what_was_mended_is_told(tmp_path):
     ],
 )
 def test_scenes_that_name_no_measured_brdf_are_refused(tmp_path, old, new, what):
-    (tmp_path / "paint.bsdf").write_bytes(writers.rgl())
+    (tmp_path / "paint.bsdf").write_bytes(writers.rgl(size=24))
     (tmp_path / "scene.toml").write_text(SCENE.replace(old, new))
     with pytest.raises(jr.InputError, match=what):
         jr.load_scene(tmp_path / "scene.toml")
