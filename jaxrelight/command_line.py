@@ -42,7 +42,8 @@ def run_command(prog: str, description: str, commands: Sequence[type], smaller: 
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     _share_freed_memory()
-    # Tracing makes many objects that stay: looking through all of them again and again takes a tenth of a second run.
+    # Tracing makes many objects that stay: to look through all of them again and again takes a tenth
+    # of the time of a picture whose programs are compiled already.
     gc.set_threshold(50_000, 20, 100)
     keep_compilations()
     # At its end the interpreter would look through all objects for cycles, a third of a second for nothing.

@@ -40,7 +40,7 @@ _KINDS = ((0, 1), (1, 0), (1, 1))
 _ROW = ((0, -1), (0, 1), (-2, -1), (-2, 1), (2, -1), (2, 1), (0, -3), (0, 3))
 _FOUR = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 3), (1, 3), (-1, -3), (1, -3), (3, -1), (3, 1), (-3, -1), (-3, 1))
 _COUNTS, _NEAREST = (len(_ROW), len(_ROW), len(_FOUR)), (2, 2, 4)
-# [parents, kinds, 2]; kinds of fewer have the first one again, which counts nothing.
+# [parents, kinds, 2]; kinds of fewer have their first ones again, which count nothing.
 _PARENTS = np.stack([np.resize(of, (len(_FOUR), 2)) for of in (_ROW, np.flip(_ROW, 1), _FOUR)], axis=1)
 # Of the first new pixel of each kind, in a lattice made wider.
 _CORNERS = (_BEFORE + (_PARENTS + np.array(_KINDS)) // 2).astype(np.int32)
@@ -129,7 +129,7 @@ def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
 
 @jax.jit
 def _errors(features: Features, parent_rows, inside):
-    """What lies between parents is off by, and their weights. New pixels of all levels are worked on together."""
+    """By how much pixels between parents are off, and the parents' weights; of new pixels of all levels together."""
     h, w = features.kind.shape
     # Planes: sums over an innermost axis of three are slow.
     mirror, position = (_whole(jnp.moveaxis(x, -1, 0)) for x in (features.mirror, features.position))

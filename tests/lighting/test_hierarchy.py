@@ -2,11 +2,12 @@
 
 import functools
 
+import jax
 import numpy as np
 import pytest
 
 from jaxrelight.arrays import as_array
-from jaxrelight.lighting.hierarchy import LEVELS, Features, Hierarchy, hierarchy
+from jaxrelight.lighting.hierarchy import LEVELS, Features, Hierarchy, _most_around, hierarchy
 
 H, W = 40, 48
 # Channels of an image that are worked on together: one number of them is compiled.
@@ -173,3 +174,13 @@ def test_inside_pixels_the_nearest_parents_alone_count():
     # Those of coarser levels are what they are without.
     these, those = (np.asarray(of.weights)[..., :coarse] for of in (found, plain()))
     np.testing.assert_array_equal(these, those)
+
+
+def test_opposite_borders_are_not_beside_each_other():
+    """What varies at one border of the picture asks for nothing at the other, and other kinds ask for nothing."""
+    rates, kinds = np.zeros((1, 6, 6), np.float32), np.zeros((6, 6), np.int32)
+    rates[0, 5, 5] = rates[0, 1, 3] = 1
+    kinds[1, 3] = 1
+    wanted = np.zeros((6, 6))
+    wanted[4:, 4:] = wanted[1, 3] = 1
+    np.testing.assert_array_equal(jax.jit(_most_around)(rates, kinds)[0], wanted)
