@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
+from jaxrelight.numerics.arrays import as_array
 
 
 @dataclasses.dataclass(frozen=True)

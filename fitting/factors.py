@@ -9,11 +9,11 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import COSINE
 from jaxrelight.brdf.parametrisation import Parametrisation
+from jaxrelight.numerics.arrays import as_array
 
 # Directions for each texel of a map: fewer would leave texels that none determines.
 _DIRECTIONS = 1.6

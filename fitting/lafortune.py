@@ -11,10 +11,10 @@ from fitting.brdf_samples import BrdfSamples, Grid, sample
 from fitting.residual_by_angle import Residual
 from fitting.solve import Options, Verdict, fit_lobes
 from fitting.weights import weights
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
+from jaxrelight.numerics.arrays import as_array
 
 
 @dataclasses.dataclass(frozen=True)

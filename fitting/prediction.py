@@ -7,10 +7,10 @@ from jaxtyping import Float
 
 from fitting.sbrdf import prepared
 from fitting.stack import Stack
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.numerics.arrays import as_array
 
 
 def predicted(level: SbrdfLevel, stack: Stack) -> Float[np.ndarray, "n h w 3"]:

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.images import write_image
+from jaxrelight.numerics.arrays import as_array
 
 # Degrees from the normal, of the light of each curve.
 INCIDENCE = 15, 45, 65, 75

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from fitting.brdf_samples import BrdfSamples
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.numerics.arrays import as_array
 
 # Edges of the bins by angle.
 DEGREES = np.arange(0, 91, 10)

@@ -14,11 +14,12 @@ from fitting.residuals import columns, factors
 from fitting.samples import prepare
 from fitting.solve import Fits, Options, Verdict, fit_lobes
 from fitting.stack import Stack
-from jaxrelight import safe, store
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.lobes import LobeSum, turned
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.files import store
 from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.numerics import safe
 
 # Texels of a chunk: the unit of progress and of resuming.
 CHUNK = 2048

@@ -18,9 +18,9 @@ from fitting.residuals import columns, factors, normal_equations, residual
 from fitting.samples import Samples, prepare
 from fitting.small_systems import solve_positive
 from fitting.starts import best_additions
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
+from jaxrelight.numerics.arrays import as_array
 
 Arrays = Array | np.ndarray
 

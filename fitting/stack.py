@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxrelight.errors import InputError
+from jaxrelight.files.npz import read_npz
 from jaxrelight.images import read_image
 from jaxrelight.images.tone import srgb_encode
-from jaxrelight.npz import read_npz
 
 _AXIS = np.array([0.0, 0.0, 1.0])
 # What normals are called.

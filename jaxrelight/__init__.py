@@ -15,7 +15,7 @@ The public names, each loaded when it is first used:
 import importlib
 
 _HOMES = {
-    "scene": ("load_scene", "Scene", "Part"),
+    "scene.scene": ("load_scene", "Scene", "Part"),
     "geometry.camera": ("Camera",),
     "geometry.mesh": ("Mesh", "load_mesh"),
     "geometry.primitives": ("plane", "sphere", "box"),
@@ -24,9 +24,9 @@ _HOMES = {
     "brdf.ashikhmin_shirley": ("ashikhmin_shirley",),
     "brdf.files": ("load_brdf",),
     "brdf.factors": ("factor",),
-    "transport.settings": ("Settings",),
-    "transport.precompute": ("precompute",),
-    "transport.load": ("load",),
+    "methods": ("Settings",),
+    "precomputation.precompute": ("precompute",),
+    "precomputation.load": ("load",),
     "transport.rebake": ("exact", "rebake"),
     "lighting.transport": ("Relighter",),
     "images": ("read_image", "write_image", "tone_map", "image_error"),

@@ -25,7 +25,7 @@ import numpy as np
 
 import jaxrelight as jr
 from jaxrelight.images.false_colour import false_colour
-from jaxrelight.lighting.adaptive import AdaptiveShader
+from jaxrelight.lighting.adaptive.shader import AdaptiveShader
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.pyramid import light_pyramid
 

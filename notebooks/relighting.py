@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrelight as jr
-from jaxrelight.demo_scene import demo_scene
+from jaxrelight.scene.demo_scene import demo_scene
 
 scene = demo_scene(detail=0.5, size=120)
 folder = pathlib.Path(tempfile.mkdtemp())

@@ -135,8 +135,8 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     ],
 }
 ELSEWHERE = {
-    *("lighting/estimate", "lighting/hierarchy", "lighting/prediction", "lighting/shadows", "lighting/sun"),
-    *("transport/bake", "transport/final_gather"),
+    *("lighting/adaptive/estimate", "lighting/adaptive/hierarchy", "lighting/adaptive/prediction"),
+    *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
 }
 # What takes seconds to compile the first time.
 DEAR = "fitting/factors", "fitting/sbrdf_levels"

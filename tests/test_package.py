@@ -14,31 +14,28 @@ import jaxrelight
 
 ROOT = pathlib.Path(jaxrelight.__file__).parent
 
-# From the bottom up. A module stands where its longest listed name stands; it imports from lower lines, or from beside
-# itself under the same name. `basis.latlong` resamples with a row-sparse operator, so the operators that know no basis
-# lie below it; the streamed operator bakes, so it lies above `transport.bake`.
-LAYERS = (
-    ("errors", "arrays", "safe", "buckets", "threads", "compilation_cache", "array_file"),
-    ("command_line", "npz", "toml_table", "whole_file"),
-    ("images", "store", "operators", "transport.settings", "geometry.frame"),
-    ("basis", "brdf", "geometry"),
-    ("brdf.bandwidth", "lights", "transport.bake", "transport.visibility", "transport.normal_maps", "transport.groups"),
-    ("transport.gather_cloud", "transport.photons"),
-    ("transport.importance", "transport.cloud_spectrum"),
-    ("scene_materials", "operators.streamed"),
-    ("scene_lights",),
-    ("scene",),
-    ("demo_scene", "transport.compression", "transport.surface_albedo"),
-    ("transport.load",),
-    ("mesh_scene",),
-    ("transport.bounce", "transport.rebake", "transport.layer_files"),
-    ("transport.final_gather", "transport.photon_gather", "transport.placing", "transport.material_rows"),
-    ("transport.layers",),
-    ("transport.indirect",),
-    ("transport.precompute",),
-    ("lighting",),
-    ("commands",),
-    ("cli",),
+# From the bottom up: a module imports from folders above its own in this list, and from beside itself. Modules that lie
+# in no folder are named here as folders are.
+FOLDERS = (
+    "errors",
+    "methods",
+    "compilation_cache",
+    "command_line",
+    "numerics",
+    "files",
+    "images",
+    "operators",
+    "basis",
+    "geometry",
+    "brdf",
+    "lights",
+    "gather",
+    "transport",
+    "scene",
+    "precomputation",
+    "lighting",
+    "commands",
+    "cli",
 )
 
 PUBLIC = {
@@ -114,15 +111,6 @@ def _graph() -> dict[str, set[str]]:
     return graph
 
 
-def _place(module: str) -> tuple[int, str]:
-    """The layer of a module and the name under which it is listed there."""
-    listed = {name: level for level, names in enumerate(LAYERS) for name in names}
-    while module not in listed:
-        assert module, "a new module must be given its place in LAYERS"
-        module = module.rpartition(".")[0]
-    return listed[module], module
-
-
 def test_public_names_are_those_documented():
     assert set(jaxrelight.__all__) == PUBLIC == set(dir(jaxrelight))
     assert jaxrelight.__doc__ is not None
@@ -167,19 +155,16 @@ def test_modules_import_without_a_cycle():
     graphlib.TopologicalSorter(_graph()).prepare()
 
 
-def test_modules_import_from_lower_layers():
+def test_folders_import_without_a_cycle():
+    """Every folder has its place in `FOLDERS`, and imports from those before it alone."""
     graph = _graph()
-    # Packages' own pages import nothing but what lies below them.
-    upward = []
-    for module, imported in graph.items():
-        if not module:
-            assert not imported, "the package's page loads its names when they are used"
-            continue
-        if any(other.startswith(f"{module}.") for other in graph) and not imported:
-            continue
-        level, listed = _place(module)
-        for other in imported:
-            other_level, other_listed = _place(other)
-            if other_level >= level and other_listed != listed:
-                upward.append(f"{module} imports {other}")
+    assert not graph.pop(""), "the package's page loads its names when they are used"
+    folder = {module: module.partition(".")[0] for module in graph}
+    assert set(folder.values()) == set(FOLDERS)
+    upward = [
+        f"{module} imports {other}"
+        for module, imported in graph.items()
+        for other in imported - {""}
+        if FOLDERS.index(folder[other]) > FOLDERS.index(folder[module])
+    ]
     assert not upward

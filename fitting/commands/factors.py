@@ -57,7 +57,7 @@ class Factors:
         from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.errors import InputError
-        from jaxrelight.whole_file import check_place
+        from jaxrelight.files.whole_file import check_place
 
         check_place(self.output, [".npz"], "factors")
         if self.refine and self.form != "svd":

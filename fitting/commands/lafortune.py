@@ -56,7 +56,7 @@ class Lafortune:
         from jaxrelight.commands.progress import notes, progress
         from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
-        from jaxrelight.whole_file import check_place
+        from jaxrelight.files.whole_file import check_place
 
         check_place(self.output, [".toml"], "lobes")
         if self.report is not None:

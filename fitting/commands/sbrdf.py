@@ -58,7 +58,7 @@ class Sbrdf:
         from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.errors import InputError
-        from jaxrelight.whole_file import check_place
+        from jaxrelight.files.whole_file import check_place
 
         check_place(self.output, [".exr"], "maps")
         if self.hold_out < 0 or self.hold_out == 1:

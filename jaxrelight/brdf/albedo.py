@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.numerics.arrays import as_array
 
 # Of ω_o from the normal.
 _DEGREES = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight import safe
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
+from jaxrelight.numerics import safe
+from jaxrelight.numerics.arrays import as_array
 
 # Directions nearer to the horizon than this count as this in denominators: there the model grows without bound.
 _LEAST_COSINE = 1e-4

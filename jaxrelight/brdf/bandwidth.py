@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight import safe
 from jaxrelight.basis.local_frequency import local_frequency, mirrored
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.isotropy import is_isotropic
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import Texture
+from jaxrelight.numerics import safe
 
 _GRID = 16
 # Of the energy of a lobe's spectrum, what may lie beyond its bandwidth: as the threshold of `local_frequency`.

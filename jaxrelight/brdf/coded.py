@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.errors import InputError
+from jaxrelight.numerics.arrays import as_array
 
 Storage = Literal["float", "half", "8bit"]
 Planes = Mapping[str, Float[np.ndarray, "h w"]]

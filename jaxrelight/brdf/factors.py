@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
 from jaxrelight.brdf.nonnegative import nonnegative_factors, nonnegative_rows
 from jaxrelight.brdf.parametrisation import DISC, Parametrisation
 from jaxrelight.brdf.singular import asymmetry, largest_eigen, largest_singular
 from jaxrelight.errors import InputError
+from jaxrelight.numerics.arrays import as_array
 
 Form = Literal["svd", "symmetric", "normalised", "nonnegative"]
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight import safe
+from jaxrelight.numerics import safe
 
 # Of the table: n + 1 goes by √2, as far as 2^14, and the cosine evenly.
 _PER_DOUBLING, _DOUBLINGS, _COSINES = 2, 14, 257

@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.numerics.arrays import as_array
 
 
 def is_isotropic(brdf: Brdf) -> bool:

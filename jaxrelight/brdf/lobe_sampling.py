@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from jaxrelight import safe
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.geometry.frame import tangent_frame
+from jaxrelight.numerics import safe
 
 # Share of samples that the cosine takes at least, so that estimates have no bias where lobes are 0.
 _LEAST_COSINE_SHARE = 0.05

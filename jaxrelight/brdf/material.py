@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, Weight, constant
+from jaxrelight.numerics.arrays import as_array
 
 
 @dataclasses.dataclass(frozen=True)

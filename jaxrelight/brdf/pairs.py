@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.arrays import as_array
+from jaxrelight.numerics.arrays import as_array
 
 
 def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:

@@ -7,7 +7,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
@@ -15,6 +14,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.tabulated import Tabulated
+from jaxrelight.numerics.arrays import as_array
 
 _KINDS = {kind.__name__: kind for kind in (Adaptive, AshikhminShirley, LobeSum, Separable, SpatialLobes, Tabulated)}
 # Numbers of an array that JSON is to hold at most.

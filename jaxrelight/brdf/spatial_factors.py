@@ -14,7 +14,6 @@ import numpy as np
 import scipy.linalg
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.factors import COSINE, Samples
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, white_lambert
@@ -23,6 +22,7 @@ from jaxrelight.brdf.parametrisation import DISC, look_up
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Footprint, Texture
+from jaxrelight.numerics.arrays import as_array
 
 # Shapes are sought until so little of the lobes is left, at most so many; among so many lobes, compared in so many
 # pairs of directions. Lobes whose weights are solved for together.

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.arrays import as_array
+from jaxrelight.numerics.arrays import as_array
 
 # The area in texture coordinates that a pixel of the picture covers.
 Footprint = Float[Array, ""] | float

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jaxrelight.brdf.spatial import Minification
-    from jaxrelight.lighting.planning import Plan
-    from jaxrelight.scene import Scene
+    from jaxrelight.lighting.adaptive.planning import Plan
+    from jaxrelight.scene.scene import Scene
 
 # Root-mean-square error of displayed values, unless something else is asked for.
 _TOLERANCE = 0.01
@@ -62,7 +62,7 @@ def adaptive_picture(
     from jaxrelight.commands.relight import timed
     from jaxrelight.commands.seen_picture import written
     from jaxrelight.errors import InputError
-    from jaxrelight.lighting.adaptive import AdaptiveShader
+    from jaxrelight.lighting.adaptive.shader import AdaptiveShader
     from jaxrelight.lighting.prefiltered import look_at
     from jaxrelight.lights.pyramid import light_pyramid
 

@@ -39,13 +39,13 @@ class Demo:
             import jax
             import numpy as np
 
-            from jaxrelight.demo_scene import demo_scene
             from jaxrelight.images import image_error, write_image
             from jaxrelight.lighting.transport import Relighter
-            from jaxrelight.transport.load import load
-            from jaxrelight.transport.precompute import precompute
+            from jaxrelight.methods import Settings
+            from jaxrelight.precomputation.load import load
+            from jaxrelight.precomputation.precompute import precompute
+            from jaxrelight.scene.demo_scene import demo_scene
             from jaxrelight.transport.rebake import exact
-            from jaxrelight.transport.settings import Settings
 
         if not 0.05 <= self.detail <= 8 or not 16 <= self.height <= 4096:
             raise InputError("the demo's detail goes from 0.05 to 8, its height from 16 to 4,096")

@@ -9,7 +9,7 @@ from jaxrelight.commands.options import LocalOptions, PictureOptions
 if TYPE_CHECKING:
     from jaxrelight.lights.environment import Environment
     from jaxrelight.lights.local import Light
-    from jaxrelight.transport.load import Transport
+    from jaxrelight.transport.model import Transport
 
 LEAVES_OUT = "caustics, and what glossy surfaces show of each other: only diffusely reflected light is passed on"
 # What a sky is sampled by, for shadows and for the cloud alike.
@@ -50,7 +50,7 @@ def indirect_picture(
     from jaxrelight.images.files import write_image, write_layers
     from jaxrelight.lighting.indirect import IndirectRelighter
     from jaxrelight.lights.sky import sky_of
-    from jaxrelight.transport.groups import timed
+    from jaxrelight.precomputation.groups import timed
 
     sky = environment if transport.settings.sky else None
     every = [*lights, *([sky_of(environment, SKY_SAMPLES)] if environment and not sky else [])]

@@ -38,10 +38,10 @@ class Info:
 def _store(path: pathlib.Path) -> dict:
     import numpy as np
 
-    from jaxrelight import store
     from jaxrelight.commands.indirect import LEAVES_OUT
     from jaxrelight.commands.relight import describe
-    from jaxrelight.transport.load import load
+    from jaxrelight.files import store
+    from jaxrelight.precomputation.load import load
 
     header = store.read_header(path)
     transport, used = load(path, header), set(store.layers_of(header))
@@ -75,7 +75,7 @@ def _store(path: pathlib.Path) -> dict:
 def _scene(path: pathlib.Path) -> dict:
     from jaxrelight.brdf.material import as_material
     from jaxrelight.commands.progress import notes
-    from jaxrelight.mesh_scene import open_scene
+    from jaxrelight.scene.mesh_scene import open_scene
 
     scene = open_scene(path)
     notes(scene.notes)

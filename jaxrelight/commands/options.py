@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     from jaxrelight.geometry.camera import Camera
     from jaxrelight.lights.environment import Environment
-    from jaxrelight.transport.settings import Settings
+    from jaxrelight.methods import Settings
 
 Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
 
@@ -49,7 +49,7 @@ class PrecomputeOptions:
 
     def settings(self, receivers: Literal["vertices", "pixels"]) -> "Settings":
         """As the library takes them."""
-        from jaxrelight.transport.settings import Settings
+        from jaxrelight.methods import Settings
 
         return Settings(
             receivers,
@@ -96,7 +96,7 @@ class CloudOptions:
         Raises:
             InputError: for a dial that they have not.
         """
-        from jaxrelight.transport.settings import Settings
+        from jaxrelight.methods import Settings
 
         named = "coefficients", "tolerance", "bits", "bounces"
         refuse_others(dials, PrecomputeOptions(), "transport", named)

@@ -10,7 +10,7 @@ import tyro
 from jaxrelight.commands.options import CloudOptions, PrecomputeOptions, refuse_others
 
 if TYPE_CHECKING:
-    from jaxrelight.transport.precompute import Summary
+    from jaxrelight.precomputation.precompute import Summary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,9 +47,9 @@ class Precompute:
 
         seconds = {}
         with timed(seconds, "imports"):
-            from jaxrelight.mesh_scene import open_scene
-            from jaxrelight.transport.load import load
-            from jaxrelight.transport.precompute import precompute
+            from jaxrelight.precomputation.load import load
+            from jaxrelight.precomputation.precompute import precompute
+            from jaxrelight.scene.mesh_scene import open_scene
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
         notes(scene.notes)

@@ -8,7 +8,7 @@ from jaxrelight.commands.options import LightOptions, PictureOptions
 if TYPE_CHECKING:
     from jaxrelight.brdf.spatial import Minification
     from jaxrelight.lighting.prefiltered import Texels
-    from jaxrelight.scene import Scene
+    from jaxrelight.scene.scene import Scene
 
 
 def prefiltered_picture(

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from jaxrelight.geometry.camera import Camera
     from jaxrelight.lighting.transport import Relighter
     from jaxrelight.lights.environment import Environment
-    from jaxrelight.transport.load import Transport
+    from jaxrelight.transport.model import Transport
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Relight:
         seconds = {}
         with timed(seconds, "imports"):
             from jaxrelight.images import check_writable
-            from jaxrelight.transport.load import load
+            from jaxrelight.precomputation.load import load
         check_writable(self.output)
         with timed(seconds, "open"):
             transport = load(self.store)
@@ -62,8 +62,8 @@ class Relight:
         from jaxrelight.commands.indirect import check_indirect, indirect_picture
         from jaxrelight.commands.progress import notes
         from jaxrelight.errors import InputError
-        from jaxrelight.scene import load_lights
-        from jaxrelight.transport.load import stored_environment
+        from jaxrelight.precomputation.load import stored_environment
+        from jaxrelight.scene.scene import load_lights
 
         if self.view.camera(transport.camera) != transport.camera:
             raise InputError(f"{self.store}: precomputed for one camera; render the scene with another instead")
@@ -78,7 +78,7 @@ class Relight:
     def _distant(self, transport: "Transport", seconds: dict) -> dict:
         from jaxrelight.commands.progress import notes
         from jaxrelight.lighting.transport import Relighter
-        from jaxrelight.transport.load import stored_environment
+        from jaxrelight.precomputation.load import stored_environment
 
         with timed(seconds, "environment"):
             environment = self.light.environment(stored_environment(transport), emits=transport.emits)

@@ -19,9 +19,9 @@ from jaxrelight.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from jaxrelight.scene import Scene
-    from jaxrelight.transport.load import Transport
-    from jaxrelight.transport.settings import Settings
+    from jaxrelight.methods import Settings
+    from jaxrelight.scene.scene import Scene
+    from jaxrelight.transport.model import Transport
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Render:
         seconds = {}
         with timed(seconds, "imports"):
             from jaxrelight.images import check_writable
-            from jaxrelight.mesh_scene import open_scene
+            from jaxrelight.scene.mesh_scene import open_scene
         check_writable(self.output)
         with timed(seconds, "load"):
             scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
@@ -185,8 +185,8 @@ class Render:
         from jaxrelight.commands.precompute import as_made
         from jaxrelight.commands.progress import notes, progress
         from jaxrelight.commands.relight import timed
-        from jaxrelight.transport.load import load
-        from jaxrelight.transport.precompute import precompute
+        from jaxrelight.precomputation.load import load
+        from jaxrelight.precomputation.precompute import precompute
 
         with progress(self.json) as report:
             made = precompute(scene, settings, self.store, report)

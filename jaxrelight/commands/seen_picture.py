@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from jaxrelight.lighting.prefiltered import Seen
     from jaxrelight.lights.environment import Environment
-    from jaxrelight.scene import Scene
+    from jaxrelight.scene.scene import Scene
 
 
 def written(

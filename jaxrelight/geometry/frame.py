@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight import safe
-from jaxrelight.buckets import filled_up
+from jaxrelight.numerics import safe
+from jaxrelight.numerics.buckets import filled_up
 
 # Points whose frames are made at once.
 _PART = 4096

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.threads import in_parts
+from jaxrelight.numerics.threads import in_parts
 
 # Of a face seen nearly edge on, which covers no more of a texture than this says.
 _LEAST_COSINE = 1e-3

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from jaxrelight.errors import InputError
+from jaxrelight.files.whole_file import check_place, write_whole
 from jaxrelight.images.exr import read_exr, write_channels, write_exr
 from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
 from jaxrelight.images.tone import srgb_decode, to_bytes, to_unit, tone_map
-from jaxrelight.whole_file import check_place, write_whole
 
 _PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 _READABLE = ".exr, .hdr, .pic, .png, .jpg"

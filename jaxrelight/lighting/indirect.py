@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.errors import InputError
+from jaxrelight.gather.gather_cloud import FAR
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
 from jaxrelight.lighting.prefiltered import Seen, look
@@ -21,9 +21,9 @@ from jaxrelight.lighting.transport import Relighter
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.local import Light
 from jaxrelight.lights.sky import mean_radiance, nearest_directions
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
-from jaxrelight.transport.gather_cloud import FAR
-from jaxrelight.transport.load import Transport
+from jaxrelight.transport.model import Transport
 
 # Of a cube map as fine as maps of a sky in the cloud are read.
 _SKY = 32

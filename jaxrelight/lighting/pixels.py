@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.buckets import bucket, filled_up
+from jaxrelight.numerics.buckets import bucket, filled_up
 
 
 class Pixels(eqx.Module):

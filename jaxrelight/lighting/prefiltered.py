@@ -14,16 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrelight import safe
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.horizon import cut
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, as_material
+from jaxrelight.brdf.normal_maps import see
 from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight, look_up
-from jaxrelight.buckets import bucket, filled_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
@@ -36,8 +34,10 @@ from jaxrelight.lighting.shadows import Shadows
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Incident, Light
 from jaxrelight.lights.prefiltered import Prefiltered
-from jaxrelight.scene import Scene
-from jaxrelight.transport.normal_maps import see
+from jaxrelight.numerics import safe
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.buckets import bucket, filled_up
+from jaxrelight.scene.scene import Scene
 
 # Pixels shaded at a time: what is read and made for them fits a processor's cache.
 _TOGETHER = 4096

@@ -10,10 +10,10 @@ import numpy as np
 from jax.core import Tracer as JaxTracer
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrelight.arrays import as_array
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lights.local import Incident, Punctual
-from jaxrelight.threads import in_parts
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.threads import in_parts
 
 # Rays of a part.
 _EACH = 8192

@@ -16,7 +16,7 @@ from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lights.sun import MOST
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.load import Block, Transport
+from jaxrelight.transport.model import Block, Transport
 
 # Receivers whose terms are made at a time.
 _TOGETHER = 1024

@@ -25,8 +25,9 @@ from jaxrelight.operators.algebra import Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.precomputation.load import load
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.load import Block, Transport, load
+from jaxrelight.transport.model import Block, Transport
 
 # Light terms [receivers, k, c] of every block of the operator; with a leading axis where they are of many lights.
 LightTerms = tuple[Float[Array, "*n v k c"], ...]

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
+from jaxrelight.brdf.normal_maps import see
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.lighting.pixels import Pixels, padded, places
-from jaxrelight.transport.load import Transport
-from jaxrelight.transport.normal_maps import see
+from jaxrelight.transport.model import Transport
 
 
 class MaterialPixels(Pixels):

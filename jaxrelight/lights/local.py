@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxrelight import safe
-from jaxrelight.arrays import as_array
 from jaxrelight.errors import InputError
+from jaxrelight.numerics import safe
+from jaxrelight.numerics.arrays import as_array
 
 
 class Incident(NamedTuple):

@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, vector
+from jaxrelight.numerics.arrays import as_array
 
 
 class Projector(Punctual):

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.basis.local_frequency import around_sphere, local_frequency
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.sky import Sky
 from jaxrelight.lights.sun import without_sun
+from jaxrelight.numerics.arrays import as_array
 
 # Rows of the finest level of what predicts: it needs no finer map.
 _ROWS = 512

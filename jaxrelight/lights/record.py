@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.lights.area import Area
 from jaxrelight.lights.local import Directional, Light, Point, Spot
 from jaxrelight.lights.projector import Projector
 from jaxrelight.lights.shaped import Shaped
 from jaxrelight.lights.sky import Sky
+from jaxrelight.numerics.arrays import as_array
 
 _KINDS = {kind.__name__: kind for kind in (Point, Spot, Directional, Projector, Shaped, Area, Sky)}
 

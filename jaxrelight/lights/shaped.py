@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight import safe
-from jaxrelight.arrays import as_array
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, power, vector
 from jaxrelight.lights.projector import check_frame
+from jaxrelight.numerics import safe
+from jaxrelight.numerics.arrays import as_array
 
 
 class Shaped(Punctual):

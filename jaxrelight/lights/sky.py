@@ -10,12 +10,12 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import latlong
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.morton import morton
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.local import Directional, Light, power
+from jaxrelight.numerics.arrays import as_array
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
 

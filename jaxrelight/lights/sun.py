@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.lights.environment import coarsened
 from jaxrelight.lights.sky import Sky
+from jaxrelight.numerics.arrays import as_array
 
 # The most texels, how many times as bright they are as the next one after them, and what share of the light's energy
 # they hold together, at least. Of eight photographed skies and rooms, those with a sun are split at any rotation.

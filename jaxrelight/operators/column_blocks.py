@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.arrays import as_array
-from jaxrelight.buckets import bucket
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.buckets import bucket
 from jaxrelight.operators.clustered import Cluster
 from jaxrelight.operators.quantised import Quantised, quantised
 

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap, truncation
 from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis
 
 # Receivers of a block, whose rows should stay in cache, and how many of them one step of a loop takes.

@@ -17,22 +17,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight import store
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import Reflection
-from jaxrelight.buckets import filled_up
+from jaxrelight.files import store
+from jaxrelight.gather.gathered import Gathered
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.buckets import filled_up
 from jaxrelight.operators.algebra import parts_of
 from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake
-from jaxrelight.transport.load import Block, Transport
+from jaxrelight.transport.model import Block, Transport
 
 # Numbers in a matrix of how much is seen, of several groups of vertices at once: what stays in cache. Sixteen times as
 # many took 2.6 times as long.
@@ -58,20 +59,6 @@ class Hits(NamedTuple):
     receiver: Int[np.ndarray, " h"]
     texel: Int[np.ndarray, " h"]
     points: GBuffer
-
-
-class Gathered(NamedTuple):
-    """Bounced light of one group of m receivers, by one reflection.
-
-    Attributes:
-        columns: numbers of the coefficients that any row may hold, ascending.
-        rows: over them; elsewhere they are 0.
-        emitted: light terms of what surfaces emit; None where none does.
-    """
-
-    columns: Int[np.ndarray, " n"]
-    rows: Float[np.ndarray, "m k c n"]
-    emitted: Float[np.ndarray, "m k c"] | None
 
 
 class Gather:

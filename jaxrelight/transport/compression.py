@@ -6,19 +6,19 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxrelight import store
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.basis.truncation import Truncated
 from jaxrelight.brdf.reflection import Reflection
-from jaxrelight.buckets import bucket
 from jaxrelight.errors import InputError
+from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lights.natural_spectrum import natural_spectrum
+from jaxrelight.methods import Settings
+from jaxrelight.numerics.buckets import bucket
 from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
 from jaxrelight.operators.quantised import Quantised, quantised
 from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.transport import bake
-from jaxrelight.transport.settings import Settings
 
 # Neighbours in a row that share a scale, where rows are codes: as many bytes as one for each level, and nearer.
 _RUN = 16

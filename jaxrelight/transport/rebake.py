@@ -6,22 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
 
-from jaxrelight import store
-from jaxrelight.arrays import as_array
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.errors import InputError
+from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.algebra import InBasis, Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.operators.stacked import Stacked
-from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.load import Transport, frames_of, streamed
+from jaxrelight.transport.model import Transport, frames_of, streamed
+from jaxrelight.transport.streamed import Streamed
 
 
 def exact(transport: Transport) -> Transport:

@@ -16,8 +16,8 @@ from jaxrelight.brdf.tabulated import Tabulated
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive import AdaptiveShader
-from jaxrelight.lighting.planning import Plan
+from jaxrelight.lighting.adaptive.planning import Plan
+from jaxrelight.lighting.adaptive.shader import AdaptiveShader
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
 from tests.benchmarks.measuring import Report, percent, shared

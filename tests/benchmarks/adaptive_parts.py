@@ -15,12 +15,12 @@ from jaxrelight.brdf.bandwidth import bandwidth_table, compressed
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_decode, srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive import AdaptiveShader, Parts
+from jaxrelight.lighting.adaptive.shader import AdaptiveShader, Parts
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.prefiltered import look_at
-from jaxrelight.lighting.random_numbers import even_numbers
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
 from jaxrelight.lights.sky import Sky
+from jaxrelight.numerics.random_numbers import even_numbers
 from tests.benchmarks.adaptive import BASELINE, SEED, Case, as_good, brdf_of, first_good, scene_of, timed
 from tests.benchmarks.measuring import RESULTS, Report, percent
 

@@ -121,7 +121,7 @@ def _power(count: int) -> int:
 
 
 def _filled(array: np.ndarray, length: int, fill: int = 0) -> np.ndarray:
-    from jaxrelight.buckets import filled_up
+    from jaxrelight.numerics.buckets import filled_up
 
     return filled_up(array, length, fill)
 

@@ -190,7 +190,7 @@ def _whole_rows(scene, terms: int, chosen):
     from jaxrelight.geometry.receivers import GROUP, vertex_receivers
     from jaxrelight.geometry.tracer import Tracer
     from jaxrelight.transport import bake
-    from jaxrelight.transport.load import frames_of
+    from jaxrelight.transport.model import frames_of
     from jaxrelight.transport.visibility import trace_visibility
 
     surfaces = scene.surfaces()

@@ -243,13 +243,13 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     import jax.numpy as jnp
 
     import jaxrelight as jr
+    from jaxrelight.gather.cloud_spectrum import cloud_spectrum
     from jaxrelight.lighting.antialiasing import joined
     from jaxrelight.lighting.indirect import IndirectRelighter
     from jaxrelight.lighting.light_layers import LightLayers
     from jaxrelight.lights.local import point, spot
     from jaxrelight.operators.clustered import Clustered
     from jaxrelight.operators.stacked import Stacked
-    from jaxrelight.transport.cloud_spectrum import cloud_spectrum
 
     place, above, target, intensity = LAMPS[name]
     scale = np.linalg.norm(np.subtract(target, above))

@@ -78,7 +78,7 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, steps: int, p
 def rows(transport) -> tuple[np.ndarray, np.ndarray]:
     """Dense rows [r, d] of some receivers: with all coefficients, and with those that are kept. Grey transport."""
     from jaxrelight.transport import bake
-    from jaxrelight.transport.load import frames_of
+    from jaxrelight.transport.model import frames_of
 
     directions = bake.directions_for(transport.settings.resolution)
     generator = np.random.default_rng(SEED)

@@ -103,7 +103,7 @@ def bake(name: str, material: str, count: int, lights) -> Patch:
     from jaxrelight.geometry.receivers import GROUP, vertex_receivers
     from jaxrelight.geometry.tracer import Tracer
     from jaxrelight.transport import bake as baking
-    from jaxrelight.transport.load import frames_of
+    from jaxrelight.transport.model import frames_of
     from jaxrelight.transport.visibility import trace_visibility
 
     scene = load_scene(shared("reference", f"{name}.toml"))

@@ -11,7 +11,7 @@ from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.half_sampling import half_vectors
 from jaxrelight.brdf.lobes import lambert, phong
 from jaxrelight.brdf.sampling import directional_albedo
-from jaxrelight.lighting.random_numbers import even_numbers
+from jaxrelight.numerics.random_numbers import even_numbers
 
 BRDFS = {
     "black": lambert(0.0),

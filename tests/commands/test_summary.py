@@ -73,7 +73,7 @@ def test_keys_of_the_demo(folder, run, monkeypatch):
     from jaxrelight import Settings
 
     small = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=8)
-    monkeypatch.setattr("jaxrelight.transport.settings.Settings", lambda **_: small)
+    monkeypatch.setattr("jaxrelight.methods.Settings", lambda **_: small)
     found = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     assert _keys(found) == KEYS["demo"]
 

@@ -278,7 +278,7 @@ def _header(**changed) -> Harm:
     """A header that is whole, but says something else."""
 
     def harm(copy: pathlib.Path, _):
-        from jaxrelight import store
+        from jaxrelight.files import store
 
         header = store.read_header(copy)
         store._write_sealed(copy / "store.json", header | changed)

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from fitting.factors import Refined, refined
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import LobeSum, lambert, lobe, lobe_sum
 from jaxrelight.brdf.parametrisation import DISC
+from jaxrelight.numerics.arrays import as_array
 
 # Two channels: each is a program of its own.
 BRDF = LobeSum(*(as_array(part, jnp.float32) for part in ([0.4, 0.1], [[[-1, -1, 1]]], [[12]], [[0.9, 0.9]])))

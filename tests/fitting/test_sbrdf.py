@@ -13,10 +13,10 @@ from fitting.sbrdf import fit_sbrdf, reached
 from fitting.sbrdf_levels import coarser
 from fitting.solve import Options, Verdict
 from fitting.stack import Stack, load_stack, stack_of
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.numerics.arrays import as_array
 from tests.shared_data import shared
 
 SIZE = 4

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxrelight import whole_file
 from jaxrelight.errors import InputError
+from jaxrelight.files import whole_file
 from jaxrelight.images import read_image, srgb_decode, tone_map, write_image
 
 

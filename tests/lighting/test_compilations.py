@@ -8,7 +8,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import Part, Relighter, Scene, Settings
-from jaxrelight.lighting.adaptive import AdaptiveShader
+from jaxrelight.lighting.adaptive.shader import AdaptiveShader
 from jaxrelight.lighting.prefiltered import look_at
 from jaxrelight.lights.pyramid import light_pyramid
 from tests.compilations import compilations

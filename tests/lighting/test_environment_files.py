@@ -81,7 +81,7 @@ def test_a_map_of_one_pixel_lights_as_a_constant_one(picture):
 
 
 def test_a_strip_comes_back_from_a_store_as_the_map_it_was_made_to(tmp_path):
-    from jaxrelight.transport.load import load, stored_environment
+    from jaxrelight.precomputation.load import load, stored_environment
 
     environment = jr.environment(np.ones((6, 1, 3)) * np.arange(1, 7)[:, None, None], 20, 3)
     assert environment.pixels.shape == (8, 16, 3)

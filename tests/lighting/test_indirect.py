@@ -10,11 +10,11 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import InputError, Part, Scene, Settings
 from jaxrelight.brdf.material import Component, Material
+from jaxrelight.gather.gather_cloud import gather_cloud
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lights.local import directional, point, spot
-from jaxrelight.transport import indirect
-from jaxrelight.transport.gather_cloud import gather_cloud
-from tests.transport.test_final_gather import kernel_at_parts
+from jaxrelight.precomputation import cloud_layers as indirect
+from tests.gather.test_final_gather import kernel_at_parts
 
 SMALL = Settings("pixels", gather_samples=256, bounces=3, tolerance=0.0)
 CAMERA = jr.Camera((0, 0.05, 0.4), (0.1, -0.1, -1), fov_y=70.0, width=12, height=10)

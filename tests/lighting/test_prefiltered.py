@@ -27,7 +27,6 @@ from jaxrelight import (
     read_image,
     sphere,
 )
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -38,6 +37,7 @@ from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lighting.prefiltered import Seen, SeenComponent, look_at, prefiltered_radiance, seen_component
 from jaxrelight.lights.local import directional, point
 from jaxrelight.lights.prefiltered import prefilter
+from jaxrelight.numerics.arrays import as_array
 from tests.shared_data import shared
 
 CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 24, 20)

@@ -16,8 +16,8 @@ from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.quantised import Quantised, quantised
 from jaxrelight.operators.sparse_rows import _BLOCK, _FEW, _MANY, SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.operators.stacked import Stacked
-from jaxrelight.operators.streamed import Streamed
 from jaxrelight.transport import bake
+from jaxrelight.transport.streamed import Streamed
 from tests.operators.derivatives import check_derivatives
 
 D = 96  # texels of a 6×4² cube map

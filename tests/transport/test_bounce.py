@@ -13,8 +13,9 @@ from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.reflection import of_group
+from jaxrelight.precomputation.load import load
 from jaxrelight.transport import bake, bounce
-from jaxrelight.transport.load import Transport, frames_of, load
+from jaxrelight.transport.model import Transport, frames_of
 from tests.transport.scenes import ball_on_floor
 
 SMALL = Settings(resolution=8, terms=2, factor_resolution=12, tolerance=0.0, bounces=1, gather_resolution=8)

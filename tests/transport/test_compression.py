@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Relighter, Settings, store
+from jaxrelight import InputError, Relighter, Settings
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import of_group
+from jaxrelight.files import store
 from jaxrelight.lights.natural_spectrum import natural_spectrum
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
+from jaxrelight.precomputation.load import load
 from jaxrelight.transport import bake
-from jaxrelight.transport.load import Block, Transport, frames_of, load
+from jaxrelight.transport.model import Block, Transport, frames_of
 from tests.transport.scenes import ball_on_floor
 
 SMALL = Settings(resolution=8, terms=2, factor_resolution=12)

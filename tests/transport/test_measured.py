@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Relighter, Settings, store
+from jaxrelight import Relighter, Settings
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.tabulated import Tabulated
+from jaxrelight.files import store
 from tests.brdf.files import writers
 
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)

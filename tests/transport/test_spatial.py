@@ -11,7 +11,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, textured_lambert, white_lambert
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, constant
-from jaxrelight.transport import layer_files
+from jaxrelight.precomputation import layer_files
 
 SETTINGS = jr.Settings("pixels", resolution=8, coefficients="all")
 LIGHT = np.random.default_rng(0).random((6 * 8**2, 3)).astype(np.float32)

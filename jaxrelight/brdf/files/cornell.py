@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.spectra import to_rec709_weights
 from jaxrelight.brdf.tabulated import HalfDifference, Tabulated, corners, entry_angles, half_difference
 from jaxrelight.errors import InputError
+from jaxrelight.numerics.arrays import as_array
 
 # Of the table that pairs are interpolated to.
 SHAPE = (90, 60, 60)

@@ -19,13 +19,13 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.errors import InputError
-from jaxrelight.npz import read_npz
-from jaxrelight.toml_table import Table, read_toml
-from jaxrelight.whole_file import write_whole
+from jaxrelight.files.npz import read_npz
+from jaxrelight.files.toml_table import Table, read_toml
+from jaxrelight.files.whole_file import write_whole
+from jaxrelight.numerics.arrays import as_array
 
 
 def read_fitted(path: str | pathlib.Path) -> LobeSum | Separable:

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.cornell import is_cornell, read_cornell
 from jaxrelight.brdf.files.merl import SHAPE, read_merl
 from jaxrelight.brdf.files.rgl import MAGIC, read_rgl
 from jaxrelight.brdf.sampling import directional_albedo
+from jaxrelight.numerics.arrays import as_array
 
 # Where albedos are looked at: beyond it measurements are rare, and those there are extrapolate.
 _DEGREES = 0, 30, 60, 80

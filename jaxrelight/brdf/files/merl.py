@@ -5,9 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.tabulated import Tabulated, least_cosine
+from jaxrelight.numerics.arrays import as_array
 
 SHAPE = (90, 90, 180)
 # What the stored numbers of red, green and blue are to be multiplied by.

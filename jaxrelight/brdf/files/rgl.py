@@ -10,10 +10,10 @@ import struct
 import jax.numpy as jnp
 import numpy as np
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf import bilinear_warp
 from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.files.content import Content
+from jaxrelight.numerics.arrays import as_array
 
 MAGIC = b"tensor_file\0"
 _TYPES = dict(enumerate(["u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"], 1))

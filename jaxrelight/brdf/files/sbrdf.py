@@ -23,14 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxrelight.arrays import as_array
 from jaxrelight.brdf.coded import Storage, decode, encode
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, halved_shape
 from jaxrelight.errors import InputError
+from jaxrelight.files.whole_file import write_whole
 from jaxrelight.images.exr import read_channels, write_channels
-from jaxrelight.whole_file import write_whole
+from jaxrelight.numerics.arrays import as_array
 
 _LARGEST = 2**26  # texels
 

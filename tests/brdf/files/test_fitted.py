@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight import whole_file
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.files.fitted import read_fitted, write_factors, write_lobes
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
 from jaxrelight.brdf.separable import Separable, separable
 from jaxrelight.errors import InputError
+from jaxrelight.files import whole_file
 
 LOBES = {
     "lambert": lambert([0.1, 1 / 3, 0.7]),

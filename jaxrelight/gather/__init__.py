@@ -1,0 +1,1 @@
+"""Points that stand for all surfaces, and light that is gathered from them."""

@@ -1,0 +1,1 @@
+"""Shading where bandwidth asks (Bagher 2011)."""

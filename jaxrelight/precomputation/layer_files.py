@@ -1,0 +1,138 @@
+"""Layers of a store that are one thing each: geometry, textures, long tables, factors, the scene's own light."""
+
+import contextlib
+import dataclasses
+import pathlib
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factors import COSINE, factor
+from jaxrelight.brdf.separable import Separable
+from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.spatial_factors import Left, SpatialFactors, factor_spatial
+from jaxrelight.brdf.texture import Texture
+from jaxrelight.errors import InputError
+from jaxrelight.files import store
+from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.local import Light
+from jaxrelight.lights.record import to_records
+from jaxrelight.methods import Settings
+from jaxrelight.precomputation.load import read_factors, read_spatial_factors
+
+
+def make_folder(folder: pathlib.Path):
+    """Makes the folder of a store, if it is not there.
+
+    Raises:
+        InputError: if it cannot be.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be used as a store: {error.strerror}") from None
+
+
+def write_once(folder: pathlib.Path, arrays: dict[str, np.ndarray]) -> store.Layer:
+    """A layer of a single group, if it is not there yet."""
+    layer = store.make_layer(folder, {name: (a.shape, a.dtype) for name, a in arrays.items()}, 1)
+    if layer.missing:
+        layer.write(0, **arrays)
+    return layer
+
+
+def made_once(folder: pathlib.Path, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays of a layer of a single group: as they are stored, else as they are made, which are stored then."""
+    with contextlib.suppress(InputError):
+        layer = store.open_layer(folder)
+        return next(layer.read_groups())
+    arrays = make()
+    write_once(folder, arrays)
+    return arrays
+
+
+def write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
+    """The layer of a scene's triangles."""
+    return write_once(
+        folder,
+        {
+            "vertices": surfaces.vertices,
+            "normals": surfaces.normals,
+            "faces": surfaces.faces,
+            "uv": surfaces.uv,
+            "mesh_of_vertex": surfaces.mesh_of_vertex,
+            "two_sided": surfaces.two_sided,
+            "uv_tangents": surfaces.uv_tangents,
+            "placement": np.array([*surfaces.centre, surfaces.radius]),
+        },
+    )
+
+
+def write_lights(folder: pathlib.Path, lights: Sequence[Light]) -> dict | None:
+    """What a header says of local lights, whose numbers are a layer."""
+    records, arrays = to_records(lights)
+    if not records:
+        return None
+    layer = f"lights-{store.key_of(records, *([name, array] for name, array in arrays.items()))}"
+    write_once(folder / layer, arrays)
+    return {"layer": layer, "each": records}
+
+
+def write_environment(folder: pathlib.Path, environment: Environment | None) -> dict | None:
+    """The scene's own light: its layer, and how it is placed."""
+    if environment is None:
+        return None
+    layer = write_once(folder / f"environment-{store.key_of(environment.pixels)}", {"pixels": environment.pixels})
+    return {"pixels": layer.folder.name, "rotate_y": environment.rotate_y, "scale": environment.scale}
+
+
+def write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
+    """The name of a texture's layer; the values of a constant one."""
+    if texture.is_constant:
+        return np.asarray(texture.pixels[0, 0]).tolist()
+    pixels = np.asarray(texture.pixels)
+    return write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
+
+
+def write_table(folder: pathlib.Path, values: np.ndarray) -> str:
+    """The name of the layer of a BRDF's long array."""
+    return write_once(folder / f"table-{store.key_of(values)}", {"values": values}).folder.name
+
+
+def factors_of(
+    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, settings: Settings
+) -> tuple[Factored | SpatialFactors | None, str | None, Left | None]:
+    """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
+
+    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the settings say.
+    """
+    if settings.receivers == "pixels" and not brdf.is_constant:
+        return None, None, None
+    dials = () if isinstance(brdf, Separable) else (terms, settings.factor_resolution, *COSINE)
+    key = store.key_of(described, *dials)
+    path = folder / f"factors-{key}"
+    spatial = isinstance(brdf, SpatialLobes)
+    with contextlib.suppress(InputError):
+        layer = store.open_layer(path)
+        if spatial:
+            return read_spatial_factors(layer), path.name, Left(*layer.read("left", 0).tolist())
+        return read_factors(layer), path.name, None
+    # Missing or damaged.
+    if spatial:
+        made, left = factor_spatial(brdf, terms, settings.factor_resolution)
+        arrays = {"light_maps": made.light_maps, "view_maps": made.view_maps, "weights": made.weights.pixels}
+        numbers = {"left": np.array(dataclasses.astuple(left))}
+        write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
+        return made, path.name, left
+    factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, settings.factor_resolution)
+    write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
+    return factors, path.name, None
+
+
+def plain(value):
+    """Numbers as JSON knows them."""
+    return jax.tree.map(lambda x: x.item() if isinstance(x, np.generic) else x, value)

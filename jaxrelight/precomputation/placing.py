@@ -1,0 +1,180 @@
+"""A scene in a store: its geometry and receivers, what layers of rows are named by, and the header that joins them."""
+
+import dataclasses
+import functools
+import importlib.metadata
+import pathlib
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxrelight.brdf.material import as_material, in_grey
+from jaxrelight.brdf.record import to_record
+from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.spatial_factors import without_diffuse
+from jaxrelight.errors import InputError
+from jaxrelight.files import store
+from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.methods import Settings
+from jaxrelight.precomputation.layer_files import (
+    factors_of,
+    make_folder,
+    plain,
+    write_environment,
+    write_geometry,
+    write_table,
+    write_texture,
+)
+from jaxrelight.precomputation.load import Placed, receivers_of
+from jaxrelight.scene.scene import Scene
+from jaxrelight.transport.model import fixed_view
+
+
+class Reflected(NamedTuple):
+    """One BRDF of a material, as rows are made of it.
+
+    Attributes:
+        reflection: of the BRDF.
+        record: what the header says of it; the names of its layers of rows are to be added.
+        key: of what the rows follow from beside the receivers.
+    """
+
+    reflection: Reflection
+    record: dict
+    key: str
+
+
+class PlacedMaterial(NamedTuple):
+    """A material that receivers have.
+
+    Attributes:
+        name: of it.
+        groups: of its receivers.
+        parts: its BRDFs.
+        notes: what standing for them costs that one might not expect, one line each.
+    """
+
+    name: str
+    groups: Int[np.ndarray, " g"]
+    parts: list[Reflected]
+    notes: list[str]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlacedScene:
+    """A scene in a store.
+
+    Attributes:
+        scene: it.
+        settings: the dials.
+        folder: the store.
+        placed: the geometry and the receivers.
+        names: of the materials, ascending.
+        material_of_mesh: their numbers.
+        geometry: the layer.
+        key: of all that rays depend on.
+    """
+
+    scene: Scene
+    settings: Settings
+    folder: pathlib.Path
+    placed: Placed
+    names: list[str]
+    material_of_mesh: Int[np.ndarray, " m"]
+    geometry: store.Layer
+    key: str
+
+    def receivers_key(self, *dials) -> str:
+        """Of the receivers, and of dials."""
+        scene, seen, bumps = self.scene, self.placed.seen, self.placed.normal_maps
+        camera = plain(dataclasses.astuple(scene.camera)) if self.settings.receivers == "pixels" else None
+        bent = None
+        if any(bumps):
+            pixels = (np.asarray(one.pixels) if one else None for one in bumps)
+            bent = [self._whole_key, seen.footprint if seen else None, *pixels]
+        return store.key_of(self.key, self.material_of_mesh, camera, *dials, bent)
+
+    @property
+    def _whole_key(self) -> str:
+        """Of the geometry with its texture coordinates."""
+        return self.geometry.folder.name.partition("-")[2]
+
+    def materials(self, grey: bool) -> Iterator[PlacedMaterial]:
+        """Those that receivers have; their lobes in grey parts where that is asked for."""
+        surfaces, receivers, seen = self.placed.surfaces, self.placed.receivers, self.placed.seen
+        frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
+        for number, name in enumerate(self.names):
+            groups = receivers.groups_of(number)
+            if not len(groups):
+                continue
+            material = as_material(self.scene.materials[name])
+            if self.settings.receivers == "vertices":
+                material = without_diffuse(material)
+            material = in_grey(material, diffuse=self.settings.receivers == "pixels") if grey else material
+            bump = write_texture(self.folder, material.normal_map) if material.normal_map else None
+            parts, notes = [], []
+            for component in material.components:
+                brdf = component.brdf
+                described = to_record(brdf, functools.partial(write_table, self.folder))
+                terms = self.scene.terms.get(name, self.settings.terms)
+                reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.settings)
+                if left and reflection:
+                    notes.append(
+                        f"{name}: the shapes that stand for the lobes of all texels are {left.shapes:.1%} off, and "
+                        f"{reflection.terms} terms leave {left.terms:.0%} of them; --terms is the dial"
+                    )
+                reflection = reflection or fixed_view(brdf, receivers, groups)
+                weight = [write_texture(self.folder, texture) for texture in component.weight]
+                record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
+                record["normal_map"] = bump
+                if material.emission is not None and component is material.components[0]:
+                    record["emission"] = material.emission.tolist()
+                more = [store.key_of(surfaces.uv, seen.footprint)] if isinstance(brdf, SpatialLobes) and seen else []
+                # The name of the factors tells their number and their resolution.
+                key = store.key_of(number, described, factors, frames_key, *more)
+                parts.append(Reflected(reflection, record, key))
+            yield PlacedMaterial(name, groups, parts, notes)
+
+    def header(self, materials: list[dict], lights: dict | None = None, **layers: str | None) -> dict:
+        """What `load` takes: layers by their kinds, and records of materials."""
+        scene = self.scene
+        return {
+            "jaxrelight": importlib.metadata.version("jaxrelight"),
+            "scene": scene.name,
+            "settings": dataclasses.asdict(self.settings),
+            "geometry": self.geometry.folder.name,
+            **layers,
+            "material_of_mesh": self.material_of_mesh.tolist(),
+            "materials": materials,
+            "camera": plain(dataclasses.asdict(scene.camera)),
+            "environment": write_environment(self.folder, scene.environment),
+            "lights": lights,
+        }
+
+
+def place(scene: Scene, settings: Settings, folder: str | pathlib.Path | None) -> PlacedScene:
+    """Puts a scene's geometry into a store, and finds its receivers.
+
+    Raises:
+        InputError: if the camera sees nothing where receivers are pixels, or the folder cannot be made.
+    """
+    surfaces = scene.surfaces()
+    names = sorted({part.material for part in scene.parts})
+    material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
+    shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
+    key = store.key_of(shapes, surfaces.two_sided)
+    folder = pathlib.Path(folder or store.default_folder(key))
+    tracer = Tracer(surfaces)
+    bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
+    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
+    if not receivers.count:
+        raise InputError(f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices")
+    make_folder(folder)
+    # No ray depends on texture coordinates.
+    whole_key = store.key_of(key, surfaces.uv, surfaces.uv_tangents)
+    geometry = write_geometry(folder / f"geometry-{whole_key}", surfaces)
+    placed = Placed(surfaces, tuple(bumps), tracer, receivers, seen)
+    return PlacedScene(scene, settings, folder, placed, names, material_of_mesh, geometry, key)

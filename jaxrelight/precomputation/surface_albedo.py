@@ -1,0 +1,70 @@
+"""The albedo of any point of a scene's surfaces, as diffuse light between them needs it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxrelight.brdf.albedo import mean_albedo
+from jaxrelight.brdf.material import as_material
+from jaxrelight.brdf.texture import look_up
+from jaxrelight.files import store
+from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.numerics.buckets import bucket, filled_up
+from jaxrelight.scene.scene import Scene
+
+
+class SurfaceAlbedo:
+    """Of each point the mean over directions of how much is reflected, by channel.
+
+    Attributes:
+        means: of each mesh, those of its material's components, and their weights.
+        emission: radiance of each mesh's material.
+    """
+
+    def __init__(self, scene: Scene, surfaces: Surfaces):
+        materials = {part.material: as_material(scene.materials[part.material]) for part in scene.parts}
+        means = {
+            name: [(mean_albedo(one.brdf), one.weight) for one in each.components] for name, each in materials.items()
+        }
+        self._surfaces = surfaces
+        self.means = [means[part.material] for part in scene.parts]
+        emission = [materials[part.material].emission for part in scene.parts]
+        self.emission = np.stack([np.zeros(3) if radiance is None else radiance for radiance in emission])
+
+    @property
+    def key(self) -> str:
+        """Of the albedos, and of where textures lie that tell them."""
+        every = [pair for one in self.means for pair in one]
+        where = [] if all(w.is_constant for _, ws in every for w in ws) else [self._surfaces.uv]
+        return store.key_of(*([mean, *(np.asarray(w.pixels) for w in ws)] for mean, ws in every), *where)
+
+    def __call__(
+        self,
+        faces: Int[np.ndarray, " p"],
+        barycentric: Float[np.ndarray, "p 3"],
+        back: Bool[np.ndarray, " p"],
+        areas: Float[np.ndarray, " p"] | None = None,
+    ) -> Float[np.ndarray, "p 3"]:
+        """Of points on faces, which stand for areas in scene space; both sides of a mesh are alike."""
+        surfaces = self._surfaces
+        corners = surfaces.faces[faces]
+        mesh = surfaces.mesh_of_vertex[corners[:, 0]]
+        found = np.zeros((len(faces), 3))
+        for number in np.unique(mesh):
+            mine = np.flatnonzero(mesh == number)
+            for albedo, weight in self.means[number]:
+                if all(texture.is_constant for texture in weight):
+                    found[mine] += albedo * np.prod([np.asarray(texture.pixels[0, 0]) for texture in weight], axis=0)
+                    continue
+                uv = np.einsum("pk,pkx->px", barycentric[mine], surfaces.uv[corners[mine]])
+                covers = np.zeros(len(mine)) if areas is None else areas[mine] * surfaces.uv_densities(faces[mine])
+                length = bucket(len(mine), 1024)
+                looked_up = _look_up(weight, filled_up(uv, length), filled_up(covers, length))
+                found[mine] += albedo * np.asarray(looked_up)[: len(mine)]
+        return found
+
+
+@jax.jit
+def _look_up(weight, uv, footprint):
+    return jax.vmap(lambda one, area: look_up(weight, jnp.asarray(one), area))(uv, footprint)

@@ -1,0 +1,1 @@
+"""From scene files and meshes to a scene."""

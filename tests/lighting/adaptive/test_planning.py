@@ -1,0 +1,72 @@
+"""Plans: budgets and tolerances are kept, samples go where noise is, pixels are left out where that is cheap."""
+
+import functools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrelight.lighting.adaptive.estimate import RUN
+from jaxrelight.lighting.adaptive.hierarchy import Hierarchy, hierarchy
+from jaxrelight.lighting.adaptive.planning import Asked, planned
+from tests.lighting.adaptive.test_hierarchy import H, W, features, plain
+
+PIXELS = H * W
+
+
+@functools.cache
+def noise() -> np.ndarray:
+    """Four times as large in the right half."""
+    return np.where(np.arange(W) < W // 2, 0.1, 0.4) * np.ones((H, 1))
+
+
+@functools.cache
+def fast() -> Hierarchy:
+    """Of which little lies between others."""
+    return hierarchy(features(angular=8.0))
+
+
+def plan(samples=None, tolerance=None, deviation=None, factor=1, power=1.0, between: Hierarchy | None = None):
+    of = jnp.asarray(noise() if deviation is None else deviation, jnp.float32)
+    asked = Asked(0, between or plain(), jnp.ones((H, W)), of, jnp.zeros((H, W)))
+    return planned([asked], power, (H, W), PIXELS, factor, samples, tolerance, shadows=False)
+
+
+@pytest.mark.parametrize("samples", [8, 64, 256])
+def test_budgets_are_kept(samples: int):
+    found = plan(samples=samples)
+    assert 0.8 * samples < found.samples / PIXELS < 1.05 * samples
+    counts = found.layers[0].counts
+    assert (counts % RUN == 0).all()
+    assert ((counts > 0) == np.asarray(found.layers[0].between.shaded)).all()
+    assert found.shaded == (counts > 0).sum()
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.03, 0.01])
+def test_tolerances_are_kept_by_both_errors_together(tolerance: float):
+    found = plan(tolerance=tolerance)
+    assert np.hypot(found.interpolation, found.noise) <= 1.01 * tolerance
+    mean = float(np.sqrt(np.mean(found.maps()["error"] ** 2)))
+    assert mean <= 1.2 * tolerance
+
+
+@pytest.mark.parametrize("power", [1.0, 1.6])
+def test_samples_go_where_noise_is(power: float):
+    """Where every pixel is shaded, n ∝ σ^(2 / (1 + power)) makes Σ σ² / n^power the least that Σ n allows."""
+    steps = np.linspace(0, 4, W)
+    found = plan(samples=512, deviation=1e-3 * 2**steps * np.ones((H, 1)), power=power, between=fast())
+    assert found.shaded > 0.9 * PIXELS
+    counts = np.median(found.layers[0].counts, axis=0)
+    assert np.polyfit(steps, np.log2(counts), 1)[0] == pytest.approx(2 / (1 + power), rel=0.1)
+
+
+def test_the_more_noise_the_fewer_pixels_share_a_budget():
+    between = hierarchy(features(angular=2.0))
+    shaded = [plan(samples=64, deviation=scale * noise(), between=between).shaded for scale in (0.01, 0.3, 10)]
+    assert shaded == sorted(shaded, reverse=True)
+    assert shaded[-1] < shaded[0] / 2
+
+
+def test_pixels_of_a_fine_view_share_the_samples_of_the_picture():
+    one, four = plan(samples=64), plan(samples=64, factor=2)
+    assert four.samples == pytest.approx(one.samples / 4, rel=0.1)

@@ -1,0 +1,54 @@
+"""Even numbers: they fill a disc, shifted ones as well, and neighbours have nothing in common."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from jaxrelight.numerics.random_numbers import MOST, even_numbers, shifts
+
+
+@jax.jit
+def many_shifts(seed):
+    return shifts(jnp.arange(4096), seed)
+
+
+@jax.jit
+def numbers(count):
+    """For each of several shifts; those from `count` on are none."""
+    return jax.vmap(lambda one: even_numbers(jnp.arange(MOST), count, one))(many_shifts(0)[:7])
+
+
+@pytest.mark.parametrize("count", [16, 48, 256, MOST])
+def test_steps_have_one_each(count: int):
+    for found in np.asarray(numbers(count))[:, :count]:
+        assert (found >= 0).all()
+        assert (found < 1).all()
+        # But for what rounding takes across an edge.
+        np.testing.assert_allclose(np.floor(found[:, 0] * count + 1e-3), np.arange(count), atol=1)
+        assert np.ptp(found[:, 0] * count - np.arange(count)) < 2e-3
+
+
+@pytest.mark.parametrize("count", [16, 48, 128, 256, 1024])
+def test_a_disc_is_filled_evenly(count: int):
+    """Points share it: the closest two are three quarters as far apart as those of the densest grid would be."""
+    for one in np.asarray(numbers(count), float)[:, :count]:
+        u, v = one.T
+        points = np.sqrt(u)[:, None] * np.stack([np.cos(2 * np.pi * v), np.sin(2 * np.pi * v)], axis=1)
+        densest = np.sqrt(2 * np.pi / (np.sqrt(3) * count))
+        # Near the middle, how far apart the first ones are depends on where in their steps they are.
+        outer = points[u > 4 / count]
+        nearest = KDTree(outer).query(outer, 2)[0][:, 1]
+        assert nearest.min() > 0.75 * densest
+        assert np.abs(points.mean(axis=0)).max() < 2 / count
+
+
+def test_shifts_are_as_good_as_random():
+    found = np.asarray(many_shifts(3), float) / 2**32
+    np.testing.assert_allclose(found.mean(axis=0), 0.5, atol=0.02)
+    np.testing.assert_allclose(found.std(axis=0), 12**-0.5, atol=0.01)
+    assert np.abs(np.corrcoef(found.T) - np.eye(2)).max() < 0.05
+    assert np.abs(np.corrcoef(found[:-1].T, found[1:].T)[:2, 2:]).max() < 0.05
+    assert not np.array_equal(found, np.asarray(many_shifts(4), float) / 2**32)
+    np.testing.assert_array_equal(found, np.asarray(many_shifts(3), float) / 2**32)

@@ -1,0 +1,886 @@
+"""From scene to store and back: reuse, resuming, truncation, invariance and gradients of the whole path."""
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import InputError, Part, Relighter, Scene, Settings
+from jaxrelight.basis import latlong
+from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.reflection import FixedView
+from jaxrelight.files import store
+from jaxrelight.geometry import mesh as meshes
+from jaxrelight.lights.environment import encode
+from jaxrelight.precomputation import layers as stages
+from jaxrelight.precomputation.load import stored_environment
+from jaxrelight.precomputation.material_rows import MaterialRows
+from jaxrelight.scene.demo_scene import demo_scene
+from tests.operators.derivatives import check_derivatives, derivatives
+
+# One set of shapes for most of the file: compiling is what takes time here.
+SETTINGS = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+PIXELS = dataclasses.replace(SETTINGS, receivers="pixels")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return demo_scene(detail=0.1, size=24)
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory) -> pathlib.Path:
+    """The store of the scene, for vertices; not to be written to."""
+    folder = tmp_path_factory.mktemp("made") / "store"
+    jr.precompute(scene, SETTINGS, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made_pixels(scene, tmp_path_factory) -> pathlib.Path:
+    """The same for pixels."""
+    folder = tmp_path_factory.mktemp("made_pixels") / "store"
+    jr.precompute(scene, PIXELS, folder)
+    return folder
+
+
+@pytest.fixture
+def copy(made, tmp_path) -> pathlib.Path:
+    """A copy of that store."""
+    shutil.copytree(made, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def _files(folder: pathlib.Path) -> dict[str, str]:
+    """Every file's hash."""
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def _layers(folder: pathlib.Path) -> set[str]:
+    return {path.name for path in folder.iterdir() if path.is_dir()}
+
+
+def _image(folder: pathlib.Path, scene: Scene) -> np.ndarray:
+    relighter = Relighter.open(folder)
+    assert scene.environment is not None
+    return relighter.image(scene.environment, relighter.view())
+
+
+def _relative(found, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(found, wanted)) / np.linalg.norm(wanted))
+
+
+# What is there is used again.
+
+
+def test_second_run_traces_nothing_and_changes_no_file(scene, copy):
+    before = _files(copy)
+    summary = jr.precompute(scene, SETTINGS, copy)
+    assert summary.rays == 0
+    assert _files(copy) == before
+
+
+def test_summary_tells_what_was_done(scene, tmp_path):
+    reports = []
+    summary = jr.precompute(scene, SETTINGS, tmp_path / "store", lambda *report: reports.append(report))
+    vertices = sum(len(part.mesh.vertices) for part in scene.parts)
+    assert summary.receivers == vertices
+    # Half of the directions are above a receiver, the copies that fill up groups included.
+    groups = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).groups
+    assert summary.rays == pytest.approx(groups * 128 * 6 * 8**2 / 2, rel=0.1)
+    assert set(summary.seconds) == {"geometry", "visibility", "transport"}
+    on_disk = dict.fromkeys(("geometry", "environment", "visibility", "factors", "transport"), 0)
+    for path in summary.folder.glob("*-*/**/*"):
+        if path.is_file():
+            on_disk[path.relative_to(summary.folder).parts[0].partition("-")[0]] += path.stat().st_size
+    assert summary.nbytes == on_disk
+    stages_told = {stage for stage, _, _ in reports}
+    assert stages_told == {"visibility", *(f"transport of {name}" for name in scene.materials)}
+    for stage in stages_told:
+        done = [(done, total) for name, done, total in reports if name == stage]
+        assert [d for d, _ in done] == sorted(d for d, _ in done)
+        assert done[0][0] == 0
+        assert done[-1][0] == done[-1][1]
+
+
+def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
+    before, old = _files(copy), _layers(copy)
+    darker = jr.phong([0.1, 0.1, 0.1], [0.4, 0.4, 0.4], 7.0)
+    changed = dataclasses.replace(scene, materials={**scene.materials, "lacquer": darker})
+    summary = jr.precompute(changed, SETTINGS, copy)
+    assert summary.rays == 0
+    after = _files(copy)
+    assert all(after[name] == before[name] for name in before if name != "store.json")
+    new = _layers(copy) - old
+    assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
+    # What was made is what a fresh store gets.
+    fresh = tmp_path / "fresh"
+    jr.precompute(changed, SETTINGS, fresh)
+    assert _files(fresh).items() <= after.items()
+    # And back: everything is there.
+    jr.precompute(scene, SETTINGS, copy)
+    assert _files(copy) == {**after, "store.json": before["store.json"]}
+
+
+def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tmp_path):
+    shutil.copytree(made_pixels, tmp_path / "a")
+    old = _layers(tmp_path / "a")
+    dull = dataclasses.replace(scene, materials={**scene.materials, "lacquer": jr.phong(0.1, 0.4, 2.0)})
+    summary = jr.precompute(dull, PIXELS, tmp_path / "a")
+    assert summary.rays == 0
+    # The view is fixed: a glossy material needs no factors.
+    assert [name.partition("-")[0] for name in _layers(tmp_path / "a") - old] == ["transport"]
+
+
+@pytest.mark.parametrize("receivers", ["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
+def test_equal_materials_of_two_names_have_layers_of_their_own(tmp_path, receivers: str):
+    """The picture is that of one material on all meshes, whose receivers are other groups."""
+    scene, light = _small_scene(), np.random.default_rng(1).random((6 * SETTINGS.resolution**2, 3)).astype(np.float32)
+    gloss = scene.materials["gloss"]
+    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    both = dataclasses.replace(scene, materials={"paper": gloss, "gloss": gloss})
+    one = dataclasses.replace(both, parts=[dataclasses.replace(part, material="gloss") for part in scene.parts])
+    images = []
+    for name, same in (("both", both), ("one", one)):
+        jr.precompute(same, settings, tmp_path / name)
+        relighter = Relighter.open(tmp_path / name)
+        images.append(np.asarray(relighter.shade(relighter.terms(light), relighter.view())))
+    assert len(list((tmp_path / "both").glob("transport-*"))) == 2
+    np.testing.assert_allclose(images[0], images[1], rtol=1e-5, atol=1e-6)
+
+
+def test_renamed_material_keeps_its_layers(scene, copy):
+    """Keys follow what a material is, not what it is called."""
+    old = _layers(copy)
+    renamed = dataclasses.replace(
+        scene,
+        parts=[dataclasses.replace(part, material=f"{part.material}_") for part in scene.parts],
+        materials={f"{name}_": brdf for name, brdf in scene.materials.items()},
+    )
+    assert jr.precompute(renamed, SETTINGS, copy).rays == 0
+    assert _layers(copy) == old
+
+
+@pytest.mark.parametrize(
+    ("change", "traced", "new"),
+    [
+        ({"coefficients": 16}, False, {"transport"}),
+        ({"terms": 3}, False, {"transport", "factors"}),
+        ({"factor_resolution": 10}, False, {"transport", "factors"}),
+        ({"coefficients": "all"}, False, set()),
+        ({"resolution": 4}, True, {"visibility", "transport"}),
+        ({"visibility_samples": 4}, True, {"visibility", "transport"}),
+        ({"receivers": "pixels"}, True, {"visibility", "transport"}),
+    ],
+    ids=lambda value: str(value) if isinstance(value, dict) else "",
+)
+def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, traced: bool, new: set):
+    """A key that left out a setting would give the layer of another."""
+    # Which layers are asked for shows without baking them.
+    monkeypatch.setattr(MaterialRows, "_complete", lambda *_: None)
+    parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
+    materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
+    scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
+    settings = dataclasses.replace(SETTINGS, coefficients=8)
+    jr.precompute(scene, settings, tmp_path)
+    old = _layers(tmp_path)
+    before = _files(tmp_path)
+    summary = jr.precompute(scene, dataclasses.replace(settings, **change), tmp_path)
+    assert (summary.rays > 0) == traced
+    assert {name.partition("-")[0] for name in _layers(tmp_path) - old} == new
+    after = _files(tmp_path)
+    assert all(after[name] == before[name] for name in before if name != "store.json")
+    assert Settings(**store.read_header(tmp_path)["settings"]) == dataclasses.replace(settings, **change)
+
+
+def test_other_camera_traces_anew_for_pixels_only(scene, copy, made_pixels, tmp_path):
+    other = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, origin=(0.0, 1.1, 2.7)))
+    assert jr.precompute(other, SETTINGS, copy).rays == 0
+    shutil.copytree(made_pixels, tmp_path / "pixels")
+    assert jr.precompute(other, PIXELS, tmp_path / "pixels").rays > 0
+
+
+def test_other_geometry_traces_anew(scene, copy):
+    def shifted(mesh):
+        return dataclasses.replace(mesh, vertices=mesh.vertices + np.array([0, 1e-6, 0]))
+
+    parts = [dataclasses.replace(scene.parts[0], mesh=shifted(scene.parts[0].mesh)), *scene.parts[1:]]
+    assert jr.precompute(dataclasses.replace(scene, parts=parts), SETTINGS, copy).rays > 0
+
+
+def test_environment_is_not_part_of_the_keys(scene, copy):
+    old = _layers(copy)
+    sky = jr.environment(np.full((8, 16, 3), 0.25), rotate_y=20, scale=3)
+    jr.precompute(dataclasses.replace(scene, environment=sky), SETTINGS, copy)
+    assert _layers(copy) - old == {store.read_header(copy)["environment"]["pixels"]}
+    transport = jr.load(copy)
+    stored = stored_environment(transport)
+    assert stored is not None
+    np.testing.assert_array_equal(stored.pixels, sky.pixels)
+    assert (transport.rotate_y, transport.scale) == (20, 3)
+
+
+def test_equal_runs_make_equal_files(scene, made, tmp_path):
+    jr.precompute(scene, SETTINGS, tmp_path / "again")
+    assert _files(tmp_path / "again") == _files(made)
+
+
+# What cannot be done is told.
+
+
+def test_camera_that_sees_nothing_has_no_pixels_to_precompute(scene, tmp_path):
+    away = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, target=(0.7, 9.0, 9.0)))
+    with pytest.raises(InputError, match="demo: the camera sees no surface"):
+        jr.precompute(away, PIXELS, tmp_path)
+
+
+def test_store_that_is_a_file_is_refused(scene, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="cannot be used as a store"):
+        jr.precompute(scene, SETTINGS, tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_incomplete_store_is_refused(copy):
+    layer = next(copy.glob("transport-*"))
+    (layer / "000000").unlink()
+    with pytest.raises(InputError, match=r"1 of [0-9]+ parts are missing; run precompute"):
+        jr.load(copy)
+    (copy / "store.json").unlink()
+    with pytest.raises(InputError, match="not a store, or its precomputation was not finished"):
+        jr.load(copy)
+
+
+@pytest.mark.parametrize("kind", ["geometry", "environment", "visibility", "factors", "transport"])
+def test_missing_layer_is_refused_and_made_again(scene, made, copy, kind: str):
+    for folder in copy.glob(f"{kind}-*"):
+        shutil.rmtree(folder)
+    with pytest.raises(InputError, match=f"{kind}-[0-9a-f]+: this layer is missing or damaged"):
+        jr.load(copy)
+    summary = jr.precompute(scene, SETTINGS, copy)
+    assert (summary.rays > 0) == (kind == "visibility")
+    assert _files(copy) == _files(made)
+
+
+def _read_all(folder: pathlib.Path):
+    """Everything that lighting, or exact lighting, reads of a store."""
+    transport = jr.load(folder)
+    stored_environment(transport)
+    transport.visibility.read_all()
+
+
+@pytest.mark.parametrize("name", ["store.json", "layout.json", "group"])
+def test_flipped_bit_is_found_and_mended(scene, made, copy, name: str):
+    """In every kind of file of every kind of layer: told in one line by whoever reads, made anew by precompute."""
+    generator = np.random.default_rng(3)
+    layers = sorted({path.name.partition("-")[0]: path for path in copy.iterdir() if path.is_dir()}.values())
+    assert len(layers) == 5
+    victims = {
+        "store.json": [copy / "store.json"] * 4,
+        "layout.json": [layer / "layout.json" for layer in layers],
+        "group": [generator.choice(sorted(layer.glob("0*"))) for layer in layers],
+    }[name]
+    for victim in victims:
+        bad = bytearray(victim.read_bytes())
+        bit = int(generator.integers(8 * len(bad)))
+        bad[bit // 8] ^= 1 << bit % 8
+        victim.write_bytes(bad)
+        with pytest.raises(InputError, match=r"precompute again") as caught:
+            _read_all(copy)
+        assert str(copy) in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+    summary = jr.precompute(scene, SETTINGS, copy)
+    groups = store.open_layer(next(copy.glob("visibility-*"))).groups
+    assert (0 < summary.rays < 2 * 128 * 6 * 8**2) == (name == "group")
+    assert groups > 2
+    assert _files(copy) == _files(made)
+
+
+def test_nothing_is_written_to_open_a_store(made):
+    """As from a folder that must not be written to, whoever runs this."""
+    code = """
+import sys
+import jaxrelight as jr
+import jax
+folder = sys.argv[1]
+def refuse(event, arguments):
+    writes = event == "open" and arguments[2] & 0o3 or event in ("os.rename", "os.remove", "os.mkdir", "os.rmdir")
+    if writes and str(arguments[0]).startswith(folder):
+        raise PermissionError(13, f"Permission denied: {event} {arguments}")
+sys.addaudithook(refuse)
+from jaxrelight.precomputation.load import stored_environment
+from jaxrelight.precomputation.material_rows import MaterialRows
+relighter = jr.Relighter.open(folder)
+relighter.image(stored_environment(relighter.transport), relighter.view())
+try:
+    open(folder + "/x", "w")
+except PermissionError:
+    print("guarded")
+"""
+    before = {path: path.stat().st_mtime_ns for path in made.rglob("*")}
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(made)],
+        capture_output=True, text=True, check=False, cwd=pathlib.Path(jr.__file__).parents[1],
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("guarded\n", "")
+    assert {path: path.stat().st_mtime_ns for path in made.rglob("*")} == before
+
+
+def test_disk_that_fills_up_is_told_and_gone_on_from(scene, made, tmp_path):
+    """No file may be longer than a limit, as on a full disk; what fits is kept."""
+    code = CHILD.replace(
+        "import jaxrelight",
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (12_000,) * 2)\nimport jaxrelight",
+    ).replace("jr.precompute(", "try:\n    jr.precompute(") + "\n".join(
+        ["", "except jr.InputError as error:", "    print(error)"]
+    )
+    code = code.replace('print("end", flush=True)\n', "")
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "store")],
+        capture_output=True, text=True, check=False, cwd=pathlib.Path(jr.__file__).parents[1],
+    )  # fmt: skip
+    assert done.stderr == ""
+    assert "File too large; what is finished is kept, make room and run again" in done.stdout.splitlines()[-1]
+    kept = _files(tmp_path / "store")
+    assert kept
+    assert kept.items() <= _files(made).items()
+    jr.precompute(scene, SETTINGS, tmp_path / "store")
+    assert _files(tmp_path / "store") == _files(made)
+
+
+def test_two_processes_at_once_share_the_work(made, tmp_path):
+    """Both end well, with the store that one makes, and not all is done twice."""
+    code = CHILD.replace('print("end", flush=True)', 'print("rays", made.rays)').replace(
+        "jr.precompute", "made = jr.precompute"
+    )
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(tmp_path / "store")],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=pathlib.Path(jr.__file__).parents[1],
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    for process in both:
+        out, err = process.communicate()
+        assert (process.returncode, err) == (0, "")
+        assert out.splitlines()[-1].startswith("rays ")
+    assert _files(tmp_path / "store") == _files(made)
+
+
+def test_other_scene_in_the_same_store_meanwhile(scene, copy):
+    """Whoever precomputed opens what it precomputed, though another process wrote another header."""
+    mine = jr.precompute(scene, SETTINGS, copy)
+    jr.precompute(dataclasses.replace(scene, environment=None), dataclasses.replace(SETTINGS, coefficients="all"), copy)
+    assert jr.load(copy).settings.coefficients == "all"
+    transport = jr.load(copy, mine.header)
+    assert transport.settings == SETTINGS
+    assert stored_environment(transport) is not None
+
+
+# What was stopped goes on.
+
+
+def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
+    traced = []
+
+    def fail(*arguments):
+        if len(traced) == 4:
+            raise InputError("disk full")
+        traced.append(trace(*arguments)[1])
+        return trace(*arguments)
+
+    trace = stages.trace_visibility
+    with monkeypatch.context() as patch:
+        patch.setattr(stages, "trace_visibility", fail)
+        patch.setattr(os, "cpu_count", lambda: 1)
+        with pytest.raises(InputError, match="disk full"):
+            jr.precompute(scene, SETTINGS, tmp_path / "store")
+    with pytest.raises(InputError, match="not finished; run precompute"):
+        jr.load(tmp_path / "store")
+    done = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).done
+    assert len(done) == 4
+    whole = jr.precompute(scene, SETTINGS, tmp_path / "whole").rays
+    assert jr.precompute(scene, SETTINGS, tmp_path / "store").rays == whole - sum(traced)
+    assert _files(tmp_path / "store") == _files(made)
+
+
+CHILD = """
+import pathlib, sys
+import jaxrelight as jr
+from jaxrelight.scene.demo_scene import demo_scene
+settings = jr.Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+def report(*progress):
+    print(*progress, flush=True)
+jr.precompute(demo_scene(detail=0.1, size=24), settings, pathlib.Path(sys.argv[1]), report)
+print("end", flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    "moments", [3, pytest.param(20, marks=pytest.mark.slow)], ids=lambda moments: f"{moments} times"
+)
+def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: int):
+    """A store is killed again and again, a few reports after its start and a moment later, until it is whole.
+
+    Then it is what an undisturbed run makes, and the next one is begun.
+    """
+    generator, reached, number = np.random.default_rng(5), set(), 0
+
+    def finished(folder):
+        # What was being written when a process was killed is swept later.
+        return {name: file for name, file in _files(folder).items() if "/." not in name}
+
+    for _ in range(moments):
+        folder = tmp_path / str(number)
+        child = subprocess.Popen(
+            [sys.executable, "-c", CHILD, str(folder)],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=pathlib.Path(jr.__file__).parents[1],
+        )
+        assert child.stdout is not None
+        with child.stdout:
+            for _ in range(int(generator.integers(1, 8))):
+                reached.add(line := child.stdout.readline().rstrip("0123456789 \n"))
+                if line == "end":
+                    number += 1
+                    break
+            time.sleep(generator.uniform(0, 0.005))
+            child.send_signal(signal.SIGKILL)
+            child.stdout.read()
+        assert child.wait() in (-signal.SIGKILL, 0)
+        assert finished(folder).items() <= _files(made).items()
+        if line == "end":
+            assert finished(folder) == _files(made)
+    assert reached >= {"visibility"} if moments < 20 else {"visibility", "transport of stone", "end"}
+    jr.precompute(scene, SETTINGS, folder)
+    assert finished(folder) == _files(made)
+
+
+# What is left out is bounded, and what is kept is right.
+
+
+@pytest.mark.parametrize("receivers", ["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
+def test_all_coefficients_kept_is_all_of_them(tmp_path, receivers: str):
+    scene, count = _small_scene(), 6 * SETTINGS.resolution**2
+    settings = dataclasses.replace(SETTINGS, receivers=receivers, coefficients=count)
+    jr.precompute(scene, settings, tmp_path)
+    kept = jr.load(tmp_path)
+    jr.precompute(scene, dataclasses.replace(settings, coefficients="all"), tmp_path)
+    streamed = jr.load(tmp_path)
+    assert kept.kept == pytest.approx(1, abs=1e-12)
+    assert all(block.dropped is None for block in streamed.blocks)
+    light = np.random.default_rng(0).gamma(0.3, size=(count, 3)).astype(np.float32)
+    encoded = _encode(light.T).T
+    terms = [Relighter(t).terms(x) for t, x in ((kept, encoded), (streamed, light), (jr.exact(kept), light))]
+    for part, wanted, exact in zip(*terms, strict=True):
+        assert _relative(part, wanted) < 1e-5
+        np.testing.assert_array_equal(wanted, exact)
+    # Nor does baking again change what is streamed.
+    again = Relighter(jr.rebake(streamed, streamed.reflections)).terms(light)
+    for part, wanted in zip(again, terms[1], strict=True):
+        np.testing.assert_array_equal(part, wanted)
+
+
+@jax.jit
+def _coefficients(texels):
+    return HaarFaces(SETTINGS.resolution).encode(texels)
+
+
+@jax.jit
+def _texels(coefficients):
+    return HaarFaces(SETTINGS.resolution).decode(coefficients)
+
+
+def _encode(texels) -> np.ndarray:
+    """Light over texels [3, d] in coefficients."""
+    return np.asarray(_coefficients(np.asarray(texels, np.float32)))
+
+
+def test_error_never_exceeds_what_was_dropped(small):
+    """|Tx − T'x| ≤ ‖x‖·√dropped for every row, and equal for the light that is the dropped row itself."""
+    transport = small.transport
+    exact = jr.exact(transport)
+    generator = np.random.default_rng(2)
+    count, d, _ = transport.operator.shape
+    dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
+    bound = np.sqrt(np.concatenate([np.broadcast_to(part, (len(part), 3)) for part in dropped]))
+    assert bound.shape == (count, 3)
+
+    def error(light):
+        light = light.astype(np.float32)
+        kept = Relighter(transport).terms(light)
+        whole = Relighter(exact).terms(np.asarray(_texels(light.T)).T)
+        receivers = [128 * len(block.groups) for block in transport.blocks]
+        parts = [(np.asarray(a), np.asarray(b), count) for a, b, count in zip(kept, whole, receivers, strict=True)]
+        return np.abs(np.concatenate([(a - b)[:count].reshape(-1, 3) for a, b, count in parts]))
+
+    spike = np.zeros((d, 3))
+    spike[generator.integers(d)] = 1e5
+    soft = generator.gamma(0.5, size=(3, d))
+    lights = [_encode(soft).T, generator.normal(size=(d, 3)) ** 3, spike, _encode(spike.T).T]
+    for light in lights:
+        assert (error(light) <= np.linalg.norm(light, axis=0) * (bound + 1e-6)).all()
+
+    starts = transport.operator.starts[:-1]
+    for kept, whole, start in zip(transport.operator.operators, exact.operator.operators, starts, strict=True):
+        row = generator.integers(kept.shape[0])
+        whole, kept = (np.broadcast_to(each.rows(np.array([row]))[0], (3, d)) for each in (whole, kept))
+        left = _encode(whole) - kept
+        worst, number = error(left.T), start + row
+        assert (worst <= np.linalg.norm(left, axis=-1) * (bound + 1e-6)).all()
+        np.testing.assert_allclose(worst[number], np.linalg.norm(left, axis=-1) * bound[number], rtol=1e-3, atol=1e-6)
+
+
+def test_kept_energy_is_that_of_the_rows(small, tmp_path):
+    transport = small.transport
+    jr.precompute(
+        _small_scene(), dataclasses.replace(transport.settings, coefficients=6 * SETTINGS.resolution**2), tmp_path
+    )
+
+    def energy(operators):
+        return sum(float(np.square(part.values, dtype=float).sum()) * 3 / part.shape[2] for part in operators)
+
+    whole = energy(jr.load(tmp_path).operator.operators)
+    assert transport.kept == pytest.approx(energy(transport.operator.operators) / whole, abs=1e-6)
+    assert 0.9 < transport.kept < 0.9999
+    for part, block in zip(jr.load(tmp_path).operator.operators, transport.blocks, strict=True):
+        assert block.dropped is not None
+        assert block.dropped.shape == part.shape[::2]
+
+
+def test_rebake_gives_what_is_stored(small):
+    transport = small.transport
+    again = jr.rebake(transport, transport.reflections).operator
+    for new, old in zip(again.operators, transport.operator.operators, strict=True):
+        np.testing.assert_array_equal(new.indices, old.indices)
+        for found, wanted in zip(new.values, old.values, strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7 * float(np.abs(wanted).max()))
+
+
+def test_rebake_with_another_material_keeps_the_sets(small):
+    transport = small.transport
+    number = transport.names.index("gloss")
+    # Rows are linear in the light maps, or in the albedo and the lobes' scale.
+    linear = [".light_maps", ".brdf.diffuse", ".brdf.scale"]
+    reflections = list(transport.reflections)
+    reflections[number] = jax.tree_util.tree_map_with_path(
+        lambda path, x: jax.device_put(np.asarray(x) * np.float32(2 if jax.tree_util.keystr(path) in linear else 1)),
+        reflections[number],
+    )
+    again = jr.rebake(transport, reflections).operator
+    for i, (new, old) in enumerate(zip(again.operators, transport.operator.operators, strict=True)):
+        np.testing.assert_array_equal(new.indices, old.indices)
+        factor = 2 if i == number else 1
+        np.testing.assert_allclose(new.values[0], factor * np.asarray(old.values[0]), rtol=1e-5, atol=1e-6)
+
+
+# The picture does not depend on how it is asked for.
+
+
+def test_vertices_and_pixels_agree_on_a_fine_mesh(tmp_path):
+    """A diffuse plane with a soft shadow: what is interpolated between vertices is what pixels see."""
+    parts = [Part(jr.plane((2, 2), 48), "paper")]
+    up = np.eye(4)
+    up[1, 3] = 0.6
+    parts.append(Part(meshes.transformed(jr.sphere(0.3, 6), up), "ball"))
+    camera = jr.Camera((0, 2.5, 2), (0, 0, 0), fov_y=30, width=24, height=24)
+    scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "ball": jr.lambert(0.5)}, camera)
+    generator = np.random.default_rng(4)
+    sky = jr.environment(0.5 + generator.random((4, 8, 3)))
+    images = {}
+    for receivers in ("vertices", "pixels"):
+        settings = Settings(receivers, resolution=16, coefficients="all", visibility_samples=4)
+        jr.precompute(scene, settings, tmp_path / receivers)
+        relighter = Relighter.open(tmp_path / receivers)
+        images[receivers] = relighter.image(sky, relighter.view(), background=False)
+    paper = images["vertices"][..., 3] == 1
+    # The ball is 6 quads wide and stands in the middle of the image.
+    paper &= np.abs(images["vertices"][..., 0] / np.maximum(images["vertices"][..., 1], 1e-9) - 7 / 6) < 0.5
+    assert paper.sum() > 300
+    error = jr.image_error(images["vertices"], images["pixels"])
+    # Measured 0.8 %: shadow edges on a cube map of 16.
+    assert error.trimmed < 0.012
+    assert error.mean_ratio == pytest.approx(1, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift"),
+    [(1.0, (-1e6, 3e5, 1e6)), (1e-3, (0, 0, 0)), (1e6, (0, 0, 0))],
+    ids=["far away", "millimetres", "megametres"],
+)
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_place_and_size_of_the_world_do_not_matter(request, scene, tmp_path, scale: float, shift, receivers: str):
+    plain = request.getfixturevalue("made" if receivers == "vertices" else "made_pixels")
+    matrix = np.diag([scale, scale, scale, 1.0])
+    matrix[:3, 3] = shift
+
+    def moved(point):
+        return tuple(np.multiply(point, scale) + shift)
+
+    camera = dataclasses.replace(scene.camera, origin=moved(scene.camera.origin), target=moved(scene.camera.target))
+    parts = [dataclasses.replace(part, mesh=meshes.transformed(part.mesh, matrix)) for part in scene.parts]
+    other = dataclasses.replace(scene, camera=camera, parts=parts)
+    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    # Factors are copied: they know nothing of the world.
+    for factors in plain.glob("factors-*"):
+        shutil.copytree(factors, tmp_path / factors.name)
+    assert jr.precompute(other, settings, tmp_path).rays > 0
+    assert _relative(_image(tmp_path, other), _image(plain, scene)) < 1e-4
+
+
+# Gradients of the whole path.
+
+
+def _small_scene() -> Scene:
+    up = np.eye(4)
+    up[1, 3] = 0.4
+    parts = [Part(jr.plane((2, 2), 3), "paper"), Part(meshes.transformed(jr.sphere(0.35, 3), up), "gloss")]
+    materials = {
+        "paper": jr.lambert([0.7, 0.6, 0.5]),
+        "gloss": jr.lobe_sum(
+            [0.2, 0.3, 0.1],
+            [jr.lobe([-1, -1, 0.9], 4.0, specular=[0.5, 0.4, 0.3]), jr.lobe([0.8, 0.7, 0.9], 3.0, specular=0.2)],
+        ),
+    }
+    camera = jr.Camera((0.3, 1.2, 2.2), (0, 0.3, 0), fov_y=50, width=8, height=6)
+    sky = jr.environment(np.random.default_rng(1).gamma(0.5, size=(4, 8, 3)))
+    return Scene(parts, materials, camera, sky)
+
+
+@pytest.fixture(scope="module", params=["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
+def small(request, tmp_path_factory) -> Relighter:
+    folder = tmp_path_factory.mktemp("small")
+    jr.precompute(_small_scene(), dataclasses.replace(SETTINGS, receivers=request.param), folder)
+    # Tables of the resampling are made once, here in float32.
+    latlong.area_resampling(4, 8, SETTINGS.resolution)
+    return Relighter.open(folder)
+
+
+@pytest.fixture(scope="module")
+def sky() -> np.ndarray:
+    environment = _small_scene().environment
+    assert environment is not None
+    return environment.pixels.astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def lit(small: Relighter):
+    """Environment pixels, rotation and scale → light vector and picture, and the derivatives of both."""
+    view = small.view()
+
+    def light_and_picture(pixels, rotate_y, scale):
+        light = small.light_vector(pixels, rotate_y, scale)
+        return light, small.shade(small.terms(light), view)
+
+    return derivatives(light_and_picture)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("x64")
+def test_gradient_of_the_picture_in_the_light(small: Relighter, sky):
+    """Environment pixels → light vector → terms → picture, with rotation and scale."""
+    view = small.view()
+    resampling = latlong.area_resampling(4, 8, SETTINGS.resolution)
+
+    def picture(pixels, rotate_y, scale):
+        light = encode(pixels, rotate_y, scale, resampling, small.transport.basis)
+        return small.shade(small.terms(light), view)
+
+    arguments = sky, np.array(10.0), np.array(1.5)
+    everything = check_derivatives(picture, arguments)
+    # The picture is linear in pixels and scale, so it is its own derivative.
+    value, along, _ = everything(arguments, (0 * sky, np.array(0.0), np.array(1.5)), np.zeros((*view.shape, 3)))
+    assert value.dtype == np.float64
+    np.testing.assert_allclose(along, value, rtol=1e-6, atol=1e-9)
+
+
+def _single(tree):
+    return jax.tree.map(np.float32, tree)
+
+
+@pytest.mark.parametrize("of", ["light vector", "picture"])
+def test_gradients_in_the_light_in_float32(small: Relighter, lit, sky, of):
+    """As it is used: linear in pixels and scale, and in the rotation within a pixel's 45°."""
+    generator, pixels = np.random.default_rng(0), _single(sky)
+    shapes = (6 * SETTINGS.resolution**2, 3), (*small.view().shape, 3)
+    weights = [_single(generator.normal(size=shape)) for shape in shapes]
+    number = ["light vector", "picture"].index(of)
+    cotangent = tuple(part * np.float32(i == number) for i, part in enumerate(weights))
+
+    def value(*point) -> float:
+        return float(np.vdot(weights[number], lit(_single(point), _single(point), cotangent)[0][number]))
+
+    def slopes(point, direction) -> list[float]:
+        """In a direction, and as the gradients' product with it."""
+        _, along, gradients = lit(_single(point), _single(direction), cotangent)
+        products = [np.vdot(gradient, step) for gradient, step in zip(gradients, direction, strict=True)]
+        return [float(np.vdot(weights[number], along[number])), float(sum(products))]
+
+    for low, high in (((10.0, 1.5), (30.0, 1.5)), ((10.0, 1.5), (10.0, 3.5))):
+        step, middle = np.subtract(high, low), np.add(high, low) / 2
+        wanted = value(pixels, *high) - value(pixels, *low)
+        for found in slopes((pixels, *middle), (0 * pixels, *step)):
+            assert found == pytest.approx(wanted, rel=1e-3)
+    other = generator.normal(size=pixels.shape)
+    for found in slopes((pixels, 10.0, 1.5), (other, 0.0, 0.0)):
+        assert found == pytest.approx(value(other, 10.0, 1.5), rel=1e-3)
+
+
+def test_gradients_are_finite_at_the_extremes(small: Relighter, lit):
+    """A black map, and one bright texel: of the sum of squares of the picture."""
+    light = np.zeros((6 * SETTINGS.resolution**2, 3), np.float32)
+    black = np.zeros((*small.view().shape, 3), np.float32)
+    spike = np.zeros((4, 8, 3), np.float32)
+    spike[1, 3] = 1e5
+    for pixels in (np.zeros((4, 8, 3), np.float32), spike):
+        point = _single((pixels, 0.0, 1.0))
+        (_, picture), _, _ = lit(point, point, (light, black))
+        _, _, gradients = lit(point, point, (light, 2 * np.asarray(picture)))
+        assert np.isfinite(np.sum(np.square(picture)))
+        assert all(np.isfinite(gradient).all() for gradient in gradients)
+
+
+@pytest.mark.usefixtures("x64")
+def test_gradient_of_the_picture_in_the_materials(small: Relighter):
+    """Lobe parameters where the view is fixed, factor maps where it is free, by baking again.
+
+    Radiance of a diffuse surface is proportional to its albedo: its derivative is the picture itself.
+    """
+    view, transport = small.view(), small.transport
+    light = np.random.default_rng(6).gamma(0.5, size=(6 * SETTINGS.resolution**2, 3))
+    gloss, number = (transport.names.index(name) for name in ("gloss", "paper"))
+    old, paper = transport.reflections[gloss], transport.reflections[number]
+    assert isinstance(paper, Factored)
+    parameters: Any = old.brdf if isinstance(old, FixedView) else old
+    assert isinstance(parameters, LobeSum | Factored)
+    parameters = jax.tree.map(lambda x: np.asarray(x, float), parameters)
+
+    def picture(parameters, albedo):
+        reflections = list(transport.reflections)
+        reflections[gloss] = FixedView(parameters, old.omega_o) if isinstance(old, FixedView) else parameters
+        reflections[number] = Factored(paper.light_maps, albedo * paper.view_maps)
+        changed = Relighter(jr.rebake(transport, reflections))
+        return changed.shade(changed.terms(jnp.asarray(light)), view)
+
+    arguments = parameters, np.array(1.0)
+    everything = check_derivatives(picture, arguments)
+    still, nothing = jax.tree.map(np.zeros_like, parameters), np.zeros((*view.shape, 3))
+    value, along, _ = everything(arguments, (parameters, np.array(0.0)), nothing)
+    assert value.dtype == np.float64
+    assert float(np.abs(along).max()) > 0.01
+    _, along, _ = everything(arguments, (still, np.array(1.0)), nothing)
+    pixels = view.materials[number]
+    on_paper = np.zeros(view.shape, bool)
+    on_paper.ravel()[np.asarray(pixels.pixel)[np.asarray(pixels.weights)[:, 0] > 0]] = 1
+    assert on_paper.sum() > 5
+    np.testing.assert_allclose(np.asarray(along)[on_paper], np.asarray(value)[on_paper], rtol=1e-6, atol=1e-9)
+    assert not np.asarray(along)[~on_paper].any()
+
+
+# What is compiled once stays compiled.
+
+
+@contextlib.contextmanager
+def _compiled():
+    """Counts what JAX traces and compiles meanwhile, in a list that grows."""
+    found = []
+
+    def listen(event: str, *_, **__):
+        if event.startswith("/jax/core/compile/"):
+            found.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield found
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_nothing_is_traced_again_for_other_light_or_view(scene, made):
+    relighter = Relighter.open(made)
+    sky = scene.environment
+
+    def picture(environment, camera):
+        return relighter.image(environment, relighter.view(camera))
+
+    first = picture(sky, scene.camera)
+    noise = jr.environment(np.random.default_rng(0).random(sky.pixels.shape))
+    turned = dataclasses.replace(sky, rotate_y=37.5, scale=0.5)
+    aside = dataclasses.replace(scene.camera, origin=(-0.9, 1.2, 2.5), fov_y=50.0)
+    with _compiled() as found:
+        pictures = [picture(noise, scene.camera), picture(turned, scene.camera), picture(sky, aside)]
+        assert found == []
+        assert all(_relative(other, first) > 0.01 for other in pictures)
+        assert relighter.view(aside).covered.sum() != relighter.view().covered.sum()
+        picture(sky, dataclasses.replace(scene.camera, width=30))
+        assert found, "the count does not show a new shape"
+
+
+def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
+    """Materials are arguments of the programs that bake them: a changed one compiles nothing."""
+    changed = {**scene.materials, "stone": jr.lambert(0.9), "floor": jr.lambert([0.1, 0.2, 0.3])}
+    shutil.copytree(made, tmp_path / "store")
+    jr.precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), SETTINGS, tmp_path / "a")
+    with _compiled() as found:
+        summary = jr.precompute(dataclasses.replace(scene, materials=changed), SETTINGS, tmp_path / "store")
+    assert summary.rays == 0
+    assert found == []
+
+
+def test_a_material_may_have_its_own_number_of_terms(tmp_path):
+    scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 2})
+    jr.precompute(scene, dataclasses.replace(SETTINGS, terms=3), tmp_path)
+    transport = jr.load(tmp_path)
+    found = {name: reflection.terms for name, reflection in zip(transport.names, transport.reflections, strict=True)}
+    assert found == {"paper": 1, "gloss": 2}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"camera": None},
+        {"materials": []},
+        {"settings": {"unknown": 1}},
+        {"materials": [{"name": "x", "brdf": {"kind": "unknown", "arrays": {}}, "factors": None}] * 2},
+    ],
+)
+def test_a_damaged_header_is_one_line(copy, change):
+    header = json.loads((copy / "store.json").read_text())
+    (copy / "store.json").write_text(json.dumps({**header, **change}))
+    with pytest.raises(jr.InputError, match="precompute") as caught:
+        jr.load(str(copy))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_scenes_own_camera_is_the_stores(scene, made_pixels):
+    assert jr.precompute(scene, PIXELS, str(made_pixels)).rays == 0
+    relighter = Relighter.open(str(made_pixels))
+    assert relighter.view(scene.camera).covered.any()
+
+
+def test_a_part_of_an_unknown_material_is_refused(tmp_path):
+    scene = dataclasses.replace(_small_scene(), materials={})
+    with pytest.raises(jr.InputError, match=r"paper|gloss"):
+        jr.precompute(scene, folder=tmp_path)
