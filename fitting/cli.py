@@ -11,6 +11,6 @@ def main() -> None:
     run_command(
         "jaxrelight-fit",
         "Fit measured reflectance: data in; lobes, maps or factors, and an account of their error, out.",
-        (Lafortune, Factors, Sbrdf),
+        {"lafortune": Lafortune, "factors": Factors, "sbrdf": Sbrdf},
         "lower --resolution or --lobes, or crop the images",
     )

@@ -2,11 +2,15 @@
 
 The public names, each loaded when it is first used:
 
-    scenes      load_scene, Scene, Part, Camera, Environment, environment, load_environment,
-                Mesh, load_mesh, plane, sphere, box
-    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor
-    transport   Settings, precompute, load, exact, rebake
-    lighting    Relighter
+    scenes      load_scene, Scene, Part, Camera, Mesh, load_mesh, plane, sphere, box, scene_of_mesh
+    meshes      normalized, transformed, with_back, subdivided
+    lights      Lights, Environment, environment, load_environment, load_lights, point, spot, directional, area,
+                projector, shaped, sky_of, even_sky, Light, Punctual, Incident
+    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor, Brdf, LobeSum, Material,
+                Component, Texture, constant, textured_lambert, textured_phong
+    methods     Transport, Indirect, Prefiltered, Adaptive
+    lighting    prepare, open_store, Relighter, Image, LightLayers
+    operators   Operator, Dense, SparseRows, Clustered, Stacked, as_lineax, sharded
     images      read_image, write_image, tone_map, image_error
     speed       keep_compilations
     errors      InputError
@@ -15,29 +19,47 @@ The public names, each loaded when it is first used:
 import importlib
 
 _HOMES = {
-    "scene.scene": ("load_scene", "Scene", "Part"),
+    "scene.scene": ("load_scene", "load_lights", "Scene", "Part"),
+    "scene.mesh_scene": ("scene_of_mesh",),
     "geometry.camera": ("Camera",),
-    "geometry.mesh": ("Mesh", "load_mesh"),
+    "geometry.mesh": ("Mesh", "load_mesh", "normalized", "transformed", "with_back"),
+    "geometry.subdivision": ("subdivided",),
     "geometry.primitives": ("plane", "sphere", "box"),
+    "lights.lights": ("Lights",),
     "lights.environment": ("Environment", "environment", "load_environment"),
-    "brdf.lobes": ("lambert", "phong", "lobe", "lobe_sum"),
+    "lights.local": ("Light", "Punctual", "Incident", "point", "spot", "directional"),
+    "lights.area": ("area",),
+    "lights.projector": ("projector",),
+    "lights.shaped": ("shaped",),
+    "lights.sky": ("sky_of", "even_sky"),
+    "brdf.contract": ("Brdf",),
+    "brdf.lobes": ("LobeSum", "lambert", "phong", "lobe", "lobe_sum"),
     "brdf.ashikhmin_shirley": ("ashikhmin_shirley",),
     "brdf.files": ("load_brdf",),
     "brdf.factors": ("factor",),
-    "methods": ("Settings",),
-    "precomputation.precompute": ("precompute",),
-    "precomputation.load": ("load",),
-    "transport.rebake": ("exact", "rebake"),
-    "lighting.transport": ("Relighter",),
+    "brdf.material": ("Material", "Component", "textured_lambert", "textured_phong"),
+    "brdf.texture": ("Texture", "constant"),
+    "methods": ("Transport", "Indirect", "Prefiltered", "Adaptive"),
+    "lighting.prepare": ("prepare", "open_store"),
+    "lighting.contract": ("Relighter", "Image"),
+    "lighting.light_layers": ("LightLayers",),
+    "operators.contract": ("Operator", "as_lineax"),
+    "operators.dense": ("Dense",),
+    "operators.sparse_rows": ("SparseRows",),
+    "operators.clustered": ("Clustered",),
+    "operators.stacked": ("Stacked",),
+    "operators.sharded": ("sharded",),
     "images": ("read_image", "write_image", "tone_map", "image_error"),
     "compilation_cache": ("keep_compilations",),
     "errors": ("InputError",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = sorted([*_HOME_OF, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str):
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("jaxrelight")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'jaxrelight' has no attribute '{name}'")
     return getattr(importlib.import_module(f"jaxrelight.{_HOME_OF[name]}"), name)

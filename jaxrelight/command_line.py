@@ -4,12 +4,11 @@ import atexit
 import contextlib
 import ctypes
 import difflib
-import functools
 import gc
-import operator
+import importlib.metadata
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import tyro
@@ -18,7 +17,7 @@ from jaxrelight.compilation_cache import keep_compilations
 from jaxrelight.errors import InputError
 
 
-def run_command(prog: str, description: str, commands: Sequence[type], smaller: str) -> None:
+def run_command(prog: str, description: str, commands: Mapping[str, type], smaller: str) -> None:
     """Runs the command that was asked for; exits with 1 and one line for bad input, 2 for a wrong command line.
 
     130 is the status after an interruption.
@@ -26,21 +25,27 @@ def run_command(prog: str, description: str, commands: Sequence[type], smaller: 
     Args:
         prog: the program's name.
         description: a sentence for --help.
-        commands: dataclasses of options whose method `run` takes none; each is called by its name in lower case.
+        commands: by their names, dataclasses of options whose method `run` takes none.
         smaller: what to do where the memory is used up.
     """
-    names = [kind.__name__.lower() for kind in commands]
-    if len(sys.argv) > 1 and not sys.argv[1].startswith("-") and sys.argv[1] not in names:
-        close = difflib.get_close_matches(sys.argv[1], names, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(names)}"
-        print(f"{prog}: '{sys.argv[1]}' is not a command; {hint}", file=sys.stderr)
+    arguments = sys.argv[1:]
+    if arguments == ["--version"]:
+        print(importlib.metadata.version("jaxrelight"))
+        return
+    named = arguments[0] if arguments and not arguments[0].startswith("-") else None
+    if named is not None and named not in commands:
+        close = difflib.get_close_matches(named, commands, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known are {', '.join(commands)}"
+        print(f"{prog}: '{named}' is not a command; {hint}", file=sys.stderr)
         sys.exit(2)
-    command: Any = tyro.cli(
-        functools.reduce(operator.or_, commands),
-        prog=prog,
-        description=description,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
+    config, command = (tyro.conf.FlagCreatePairsOff,), None
+    if named is None:
+        tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=description, config=config)
+    else:
+        # The others' options need not be read.
+        kind: Any = commands[named]
+        command = tyro.cli(kind, prog=f"{prog} {named}", args=arguments[1:], config=config)
+    assert command is not None
     _share_freed_memory()
     # Tracing makes many objects that stay: to look through all of them again and again takes a tenth
     # of the time of a picture whose programs are compiled already.

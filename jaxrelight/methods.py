@@ -1,129 +1,334 @@
-"""The dials of precomputation."""
+"""The four lighting methods: their dials, with ranges and defaults, and what they leave out.
+
+Each dial is documented here alone. Python, the command line, `--json` and the guide read it from these classes. Nothing
+heavy is imported, so that `--help` stays quick.
+"""
 
 import dataclasses
-from typing import Literal
+import math
+from typing import ClassVar, Literal
 
 from jaxrelight.errors import InputError
 
 
 @dataclasses.dataclass(frozen=True)
-class Settings:
-    """What is precomputed, and how finely.
+class Method:
+    """A lighting method: a frozen set of dials. `prepare` makes a relighter of a scene and a method.
 
     Attributes:
-        receivers: "vertices" leave the view free; "pixels" are exact for the scene's camera alone.
-        resolution: side of the six faces of the cube map that light is given on; a power of two.
-        visibility_samples: rays a texel; a square number. Transport is averaged over them.
-        terms: factors of a BRDF that depends on direction, for vertices; a diffuse one always has 1.
-        coefficients: how direct light is kept: "shared": near receivers share as few rows over as few wavelet
-            coefficients as `tolerance` allows; a number: so many in each row (Wang 2006 §4.1); "all": nothing is
-            compressed, rows are baked from the stored visibility at every change of light. Bounced light is shared.
-        factor_resolution: side of the maps of BRDF factors.
-        tolerance: largest error that may be left in the radiance of a group under natural light, relative to its
-            root-mean-square.
-        bits: of every number of compressed rows: 32 (floating point), or codes of 16 or 8 (Wang 2006 §4.1.2).
-        bounces: how often light is reflected on its way, at most, after it has reached the first surface. No more are
-            made than leave out `tolerance` of all light.
-        gather_resolution: side of the six faces of the cube map that receivers look around with for bounced light.
-        gather: of what they see, take the rows of a face's three corners by their "barycentric" weights, or those of
-            the "nearest" one.
-        gather_samples: where it is not 0, light is not of the sky but of local lights: that many points stand for all
-            surfaces, and what they reflect is gathered by pixels (Hašan 2006). A power of four.
-        solid_angle: of those points, far ones are gathered from together where the square of their extent is less than
-            this times that of their distance.
-        peak: of glossy BRDFs, points are told apart as well where together they would give more than this share of all
-            that a receiver reflects; 1 for nowhere.
-        near: of points that are near, "disc" keeps the energy; "clamp" is the paper's bound.
-        importance: put more points where they light what the camera sees.
-        photons: where it is not 0, what points get from each other is not gathered link by link, but by that many
-            photons that they shoot, which land up to `bounces` − 1 times: the paper's way; albedos of all but the last
-            surface are in it.
-        sky: a quarter of the points are directions of the sky, so that an environment lights as lamps do.
-        seed: of the points' places, and of photons.
+        is_stored: whether it precomputes a store that other lights reuse.
+        advanced: dials that `--help-all` shows and `--help` does not.
     """
 
-    receivers: Literal["vertices", "pixels"] = "vertices"
+    is_stored: ClassVar[bool]
+    advanced: ClassVar[frozenset[str]] = frozenset()
+
+    @property
+    def name(self) -> str:
+        """What the command line and stores call it."""
+        return type(self).__name__.lower()
+
+    def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
+        """What its pictures lack under an environment, or local lights, in words; reported with every picture."""
+        return ()
+
+
+_BETWEEN_SURFACES = "light that surfaces reflect onto each other"
+
+
+@dataclasses.dataclass(frozen=True)
+class Transport(Method):
+    """Precomputed transport of distant light with shadows, glossy materials and bounces (Wang 2006).
+
+    An environment is lit from the precomputed operator. Local lights are direct light with shadow rays; what they
+    bounce takes `Indirect`.
+
+    Raises:
+        InputError: for a dial outside its range.
+    """
+
+    is_stored: ClassVar[bool] = True
+    advanced: ClassVar[frozenset[str]] = frozenset(
+        {"visibility_samples", "factor_resolution", "split_sun", "gather_resolution", "gather"}
+    )
+
+    receivers: Literal["pixels", "vertices"] = "pixels"
+    """Where transport is precomputed: 'pixels' of the scene's camera are exact for that camera; 'vertices' can be
+    viewed from anywhere."""
     resolution: int = 64
+    """Side of the six faces of the cube map that light is given on; a power of two from 4 to 512. Rays and time grow
+    with its square; sharper shadows and highlights need more."""
     visibility_samples: int = 1
+    """Rays for each texel of the cube map: 1, 4, 9, 16 or 25. Transport is averaged over them."""
     terms: int = 4
+    """Factors of a glossy material where receivers are vertices. Glossier materials need more; time and bytes grow
+    with them. Diffuse materials always have 1."""
     coefficients: int | Literal["shared", "all"] = "shared"
+    """How direct light is kept: 'shared' lets near receivers share as few rows over as few wavelet coefficients as
+    compression_tolerance allows; a number keeps that many coefficients in each row; 'all' compresses nothing, which is
+    exact and slow to relight. Bounced light is always shared."""
     factor_resolution: int = 48
-    tolerance: float = 0.02
+    """Side of the maps of a glossy material's factors, from 4 to 128."""
+    compression_tolerance: float = 0.02
+    """Largest error that shared rows may leave in a group's radiance under natural light, relative to its
+    root-mean-square; from 0, which leaves nothing out, to below 1. No more bounces are made than leave out as much."""
     bits: Literal[8, 16, 32] = 32
+    """Bits of every number of compressed transport: 8 take a third of the bytes, and add less error than what is left
+    out."""
     bounces: int = 0
+    """How often light is reflected at most on its way from the first surface to the last. Each bounce takes minutes
+    where many surfaces see each other; relighting costs little more."""
+    split_sun: bool = True
+    """Integrate the few texels of a sun by themselves, with a shadow ray from every receiver to each. Without it light
+    terms are exactly linear in the light, and a compressed sun has the largest error."""
     gather_resolution: int = 32
+    """Side of the six faces of the cube map that receivers look around with for bounced light; even, from 4 to 256."""
     gather: Literal["barycentric", "nearest"] = "barycentric"
-    gather_samples: int = 0
-    solid_angle: float = 0.1
-    peak: float = 0.01
-    near: Literal["disc", "clamp"] = "disc"
-    importance: bool = False
-    photons: int = 0
-    sky: bool = False
-    seed: int = 0
+    """Where bounced light is read: between the corners of each face that is seen, or at the nearest corner."""
 
     def __post_init__(self):
-        def require(good: bool, message: str):
-            if not good:
-                raise InputError(message)
+        check_choice("receivers", self.receivers, ("pixels", "vertices"))
+        for name, low, high in (
+            ("resolution", 4, 512),
+            ("terms", 1, math.inf),
+            ("factor_resolution", 4, 128),
+            ("bounces", 0, math.inf),
+            ("gather_resolution", 4, 256),
+        ):
+            check_whole(name, getattr(self, name), low, high)
+        n = self.resolution
+        require(n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
+        check_choice("visibility samples", self.visibility_samples, (1, 4, 9, 16, 25))
+        require(self.gather_resolution % 2 == 0, f"gather resolution is {self.gather_resolution}; it must be even")
+        check_choice("gather", self.gather, ("barycentric", "nearest"))
+        _check_compression(self, ("shared", "all"), 6 * n * n)
 
-        for name in ("resolution", "visibility_samples", "terms", "factor_resolution", "bounces", "gather_resolution"):
-            value = getattr(self, name)
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            require(whole, f"{name.replace('_', ' ')} is {value!r}; it must be a whole number")
-        n, rays = self.resolution, self.visibility_samples
-        require(
-            self.receivers in ("vertices", "pixels"), f"receivers are 'vertices' or 'pixels', not '{self.receivers}'"
-        )
-        require(4 <= n <= 512 and n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
-        require(rays in (1, 4, 9, 16, 25), f"visibility samples are {rays}; they must be 1, 4, 9, 16 or 25")
-        require(self.terms >= 1, f"terms are {self.terms}; at least 1 is needed")
-        side = self.factor_resolution
-        require(4 <= side <= 128, f"factor resolution is {side}; it must be from 4 to 128")
-        real = isinstance(self.tolerance, (int, float)) and not isinstance(self.tolerance, bool)
-        require(
-            real and 0 <= self.tolerance < 1,
-            f"tolerance is {self.tolerance!r}; it must be at least 0, which leaves nothing out, and below 1",
-        )
-        require(self.bits in (8, 16, 32), f"bits are {self.bits}; they must be 8, 16 or 32")
-        require(self.bounces >= 0, f"bounces are {self.bounces}; they must be 0 or more")
-        side = self.gather_resolution
-        require(4 <= side <= 256 and side % 2 == 0, f"gather resolution is {side}; it must be even, from 4 to 256")
-        require(self.gather in ("barycentric", "nearest"), f"gather is 'barycentric' or 'nearest', not '{self.gather}'")
-        samples = self.gather_samples
-        if samples:
-            require(
-                isinstance(samples, int)
-                and samples >= 64
-                and samples & (samples - 1) == 0
-                and samples.bit_length() % 2 == 1,
-                f"gather samples are {samples:,}; they must be a power of four: 4,096, 16,384, 65,536, …",
-            )
-            require(
-                self.receivers == "pixels", "light of local lights is gathered by pixels: receivers must be 'pixels'"
-            )
-            require(self.coefficients != "all", "coefficients are 'all'; with gather samples, tolerance 0 keeps all")
-            seed = self.seed
-            require(type(seed) is int and seed >= 0, f"seed is {seed!r}; it must be a whole number, 0 or more")
-            photons = self.photons
-            require(
-                type(photons) is int and 0 <= photons <= 10**7,
-                f"photons are {photons!r}; they must be a whole number up to 10,000,000, or 0 to gather without",
-            )
-            require(not (photons and self.sky), "photons do not come from the sky; leave them, or the sky, out")
-            require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
-            require(0 < self.peak <= 1, f"peak is {self.peak}; it must be above 0, up to 1, which splits nothing")
-            require(self.near in ("disc", "clamp"), f"near is 'disc' or 'clamp', not '{self.near}'")
-            require(self.bounces >= 1, "bounces are 0; of local lights, indirect light has one or more")
-        if self.coefficients not in ("shared", "all"):
-            limit = samples or 6 * n * n
-            require(
-                type(self.coefficients) is int and 1 <= self.coefficients <= limit,
-                f"coefficients are {self.coefficients}; from 1 to {limit:,} can be kept at resolution {n}, or they are "
-                "'shared' or 'all'",
-            )
+    def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
+        """Bounces of local lights, and of all light without bounces."""
+        if not self.bounces:
+            return (_BETWEEN_SURFACES,)
+        return ("light of local lights that surfaces reflect onto each other",) if local else ()
 
     @property
     def samples_per_side(self) -> int:
         """Rays along a side of a texel."""
-        return round(self.visibility_samples**0.5)
+        return math.isqrt(self.visibility_samples)
+
+
+@dataclasses.dataclass(frozen=True)
+class Indirect(Method):
+    """Direct light and many bounces of lights at any place, for the scene's camera (Hašan 2006).
+
+    A cloud of points stands for all surfaces. What its points reflect is gathered by pixels, and by each other.
+
+    Raises:
+        InputError: for a dial outside its range.
+    """
+
+    is_stored: ClassVar[bool] = True
+    advanced: ClassVar[frozenset[str]] = frozenset(
+        {"sky_samples", "coefficients", "bits", "solid_angle", "peak", "near", "importance", "photons"}
+    )
+    receivers: ClassVar[Literal["pixels"]] = "pixels"
+
+    gather_samples: int = 16384
+    """How many points stand for all surfaces; a power of four from 64. More show smaller shadows in indirect light;
+    time and bytes grow with them."""
+    bounces: int = 3
+    """How often light is reflected at most on its way to the surface that is seen; 1 or more."""
+    direct_samples: int = 2
+    """Samples of direct light along each side of a pixel, from 1 to 16."""
+    sky: bool = False
+    """A quarter of the points are directions of the sky: another environment then costs what moving a lamp does, and
+    its shadows are as coarse as those points. Otherwise an environment is many distant lights, which all cast sharp
+    shadows."""
+    sky_samples: int = 256
+    """How many distant lights an environment is; more are smoother, and take longer. Unused with sky."""
+    coefficients: int | Literal["shared"] = "shared"
+    """How gathered light is kept: as compression_tolerance asks for, or a number of coefficients in each row."""
+    compression_tolerance: float = 0.02
+    """Largest error that shared rows may leave in a group's radiance, relative to its root-mean-square; from 0, which
+    leaves nothing out, to below 1."""
+    bits: Literal[8, 16, 32] = 32
+    """Bits of every number of compressed rows."""
+    solid_angle: float = 0.1
+    """Points that are far for their distance from each other are gathered from together: where the square of their
+    extent is less than this times that of their distance; from 0 to 10."""
+    peak: float = 0.01
+    """Points that lie in the peak of a glossy BRDF are told apart where together they would give more than this share
+    of all that is reflected; above 0, up to 1 for nowhere, which is faster and blurs sharp reflections."""
+    near: Literal["disc", "clamp"] = "disc"
+    """Light of near points: 'disc' keeps its energy; 'clamp' is bounded as in the paper, and darker in corners."""
+    importance: bool = False
+    """Put more points where they light what the camera sees: for scenes of which it sees a small part."""
+    photons: int = 0
+    """Where it is not 0, what points get from each other is carried by that many photons that they shoot, the paper's
+    way; 0 gathers it. Albedos of all but the last surface are in it then. Up to 10,000,000."""
+    seed: int = 0
+    """Seed of the places of points, and of photons; a whole number from 0."""
+
+    def __post_init__(self):
+        samples = self.gather_samples
+        require(
+            type(samples) is int and samples >= 64 and samples & (samples - 1) == 0 and samples.bit_length() % 2 == 1,
+            f"gather samples are {samples!r}; they must be a power of four: 4,096, 16,384, 65,536, …",
+        )
+        for name, low, high in (
+            ("bounces", 1, math.inf),
+            ("direct_samples", 1, 16),
+            ("sky_samples", 1, math.inf),
+            ("photons", 0, 10**7),
+            ("seed", 0, math.inf),
+        ):
+            check_whole(name, getattr(self, name), low, high)
+        require(not (self.photons and self.sky), "photons do not come from the sky; leave them, or the sky, out")
+        require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
+        require(0 < self.peak <= 1, f"peak is {self.peak}; it must be above 0, up to 1, which splits nothing")
+        check_choice("near", self.near, ("disc", "clamp"))
+        require(
+            self.coefficients != "all", "coefficients are 'all'; under Indirect, a compression tolerance of 0 keeps all"
+        )
+        _check_compression(self, ("shared",), samples)
+
+    def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
+        """What is not diffusely reflected on its way."""
+        return ("caustics", "what glossy surfaces show of each other: only diffusely reflected light is passed on")
+
+
+@dataclasses.dataclass(frozen=True)
+class Prefiltered(Method):
+    """Environments filtered for lobes, and local lights with shadow rays (McAllister 2002). Nothing is precomputed.
+
+    Raises:
+        InputError: for a dial outside its range.
+    """
+
+    is_stored: ClassVar[bool] = False
+    advanced: ClassVar[frozenset[str]] = frozenset({"horizon", "map_rows"})
+
+    shadows: bool = True
+    """Let local lights cast shadows."""
+    texels: Literal["parameters", "reflectance"] = "parameters"
+    """What is interpolated between the texels of an SBRDF: its 'parameters'; or the 'reflectance' of the four texels
+    around, which is right between unlike texels and takes three to five times as long."""
+    minification: Literal["levels", "averaged", "none"] = "levels"
+    """What is seen of an SBRDF whose texels are smaller than pixels: the coarser 'levels' that were fitted to it, as
+    far as its maps have any; 'averaged' parameters; or single texels ('none')."""
+    horizon: Literal["cut", "outside"] = "cut"
+    """How the cosine and the horizon come in: 'cut' lets them move and sharpen each lobe; 'outside' multiplies by the
+    cosine of the lobe's peak (eq. 11), which counts light from below the surface."""
+    map_rows: int = 512
+    """Rows of the finest filtered map; a power of two from 32. Sharper reflections need more."""
+
+    def __post_init__(self):
+        check_choice("texels", self.texels, ("parameters", "reflectance"))
+        check_choice("minification", self.minification, ("levels", "averaged", "none"))
+        check_choice("horizon", self.horizon, ("cut", "outside"))
+        check_whole("map_rows", self.map_rows, 32, 4096)
+        require(self.map_rows & (self.map_rows - 1) == 0, f"map rows are {self.map_rows}; they must be a power of two")
+
+    def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
+        """Shadows of the environment, and all bounces."""
+        return (*(["shadows of the environment"] if environment else []), _BETWEEN_SURFACES)
+
+
+@dataclasses.dataclass(frozen=True)
+class Adaptive(Method):
+    """Samples of the environment where, and as often as, predicted bandwidth and noise ask (Bagher 2011).
+
+    Nothing is precomputed for a mesh.
+
+    Raises:
+        InputError: for a dial outside its range, or for samples and a tolerance together.
+    """
+
+    is_stored: ClassVar[bool] = False
+
+    tolerance: float | None = None
+    """Root-mean-square error of displayed values, which range from 0 to 1, that is planned for; by default 0.01, where
+    samples are not given."""
+    samples: float | None = None
+    """Samples of a pixel, on average: a budget in place of the tolerance."""
+    antialiasing: Literal[1, 4, 16] = 1
+    """Samples of surfaces in a pixel; 4 take about twice the time of 1, not four times."""
+    shadows: bool = True
+    """Let the environment and local lights cast shadows."""
+    minification: Literal["levels", "averaged", "none"] = "levels"
+    """What is seen of an SBRDF whose texels are smaller than pixels, as under Prefiltered."""
+    exposure: float = 0.0
+    """Stops by which the picture will be made brighter before it is displayed; the error is one of displayed values."""
+    seed: int = 0
+    """Seed of the samples; a whole number from 0."""
+
+    def __post_init__(self):
+        require(
+            self.samples is None or self.tolerance is None,
+            "samples are a budget and tolerance is a quality; give one of both",
+        )
+        for name in ("samples", "tolerance"):
+            value = getattr(self, name)
+            require(value is None or 0 < value < math.inf, f"{name} is {value}; it must be above 0, and finite")
+        check_choice("antialiasing", self.antialiasing, (1, 4, 16))
+        check_choice("minification", self.minification, ("levels", "averaged", "none"))
+        require(math.isfinite(self.exposure), f"exposure is {self.exposure}; it must be finite")
+        check_whole("seed", self.seed, 0, math.inf)
+
+    def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
+        """All bounces."""
+        return (_BETWEEN_SURFACES,)
+
+    @property
+    def samples_per_side(self) -> int:
+        """Samples of surfaces along each side of a pixel."""
+        return math.isqrt(self.antialiasing)
+
+
+METHODS: dict[str, type[Method]] = {
+    kind.__name__.lower(): kind for kind in (Transport, Indirect, Prefiltered, Adaptive)
+}
+
+
+def require(holds: bool, message: str):
+    """Raises an `InputError` unless something holds."""
+    if not holds:
+        raise InputError(message)
+
+
+def check_choice(name: str, value: object, choices: tuple):
+    """Refuses a value that is none of the choices."""
+    *others, last = (repr(choice) for choice in choices)
+    is_plural = name.endswith("s")
+    require(
+        value in choices and not isinstance(value, bool),
+        f"{name} {'are' if is_plural else 'is'} {value!r}; {'they' if is_plural else 'it'} must be "
+        f"{', '.join(others)} or {last}",
+    )
+
+
+def check_whole(dial: str, value: object, low: float, high: float):
+    """Refuses what is no whole number within a range."""
+    name = dial.replace("_", " ")
+    is_plural = name.endswith("s") and name != "bits"
+    limits = f"from {low:,}" + (f" to {high:,}" if high < math.inf else "")
+    require(
+        type(value) is int and low <= value <= high,
+        f"{name} {'are' if is_plural else 'is'} {value!r}; {'they' if is_plural else 'it'} must be "
+        f"{'whole numbers' if is_plural else 'a whole number'} {limits}",
+    )
+
+
+def _check_compression(method: "Transport | Indirect", words: tuple[str, ...], most: int):
+    """The dials that compressed rows have under both methods."""
+    tolerance = method.compression_tolerance
+    is_number = isinstance(tolerance, (int, float)) and not isinstance(tolerance, bool)
+    require(
+        is_number and 0 <= tolerance < 1,
+        f"compression tolerance is {tolerance!r}; it must be at least 0, which leaves nothing out, and below 1",
+    )
+    check_choice("bits", method.bits, (8, 16, 32))
+    count = method.coefficients
+    choices = " or ".join(f"'{word}'" for word in words)
+    require(
+        count in words or (type(count) is int and 1 <= count <= most),
+        f"coefficients are {count!r}; from 1 to {most:,} can be kept in a row, or they are {choices}",
+    )

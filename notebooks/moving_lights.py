@@ -28,6 +28,8 @@ import jaxrelight as jr
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lighting.light_layers import LightLayers
 from jaxrelight.lights.local import point, spot
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 
 
 def moved(mesh, x, y, z):
@@ -64,7 +66,7 @@ materials = {
 camera = jr.Camera((0, 1.2, 4.2), (0, 1.1, 0), fov_y=38.0, width=240, height=160)
 scene = jr.Scene(parts, materials, camera, name="room")
 folder = pathlib.Path(tempfile.mkdtemp())
-made = jr.precompute(scene, jr.Settings("pixels", gather_samples=4096, bounces=3), folder / "store")
+made = precompute(scene, jr.Indirect(gather_samples=4096, bounces=3), folder / "store")
 print(f"{made.rays:,} rays, {sum(made.seconds.values()):.1f} s")
 
 # %% [markdown]
@@ -74,7 +76,7 @@ print(f"{made.rays:,} rays, {sum(made.seconds.values()):.1f} s")
 # other, and what the pixels get of it.
 
 # %%
-relighter = IndirectRelighter(jr.load(made.folder))
+relighter = IndirectRelighter(load(made.folder))
 lamp = point([-1.2, 1.9, 0.2], [3.0, 2.7, 2.2])
 behind = point([-1.5, 0.5, -1.5], [3.0, 2.7, 2.2])
 upwards = spot([1.4, 0.3, 0.8], [1.6, 2.4, -0.4], [9.0, 8.0, 6.5], 30.0)

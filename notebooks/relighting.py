@@ -23,11 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrelight as jr
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
+from jaxrelight.transport.rebake import exact
 
 scene = demo_scene(detail=0.5, size=120)
 folder = pathlib.Path(tempfile.mkdtemp())
-made = jr.precompute(scene, jr.Settings(resolution=16, terms=4, coefficients=96), folder / "store")
+made = precompute(scene, jr.Transport("vertices", resolution=16, terms=4, coefficients=96), folder / "store")
 print(f"{made.receivers:,} receivers, {made.rays:,} rays, {sum(made.seconds.values()):.1f} s")
 
 # %% [markdown]
@@ -36,7 +39,7 @@ print(f"{made.receivers:,} receivers, {made.rays:,} rays, {sum(made.seconds.valu
 # `light` is paid when the light changes, `shade` when the view does.
 
 # %%
-relighter = jr.Relighter.open(made.folder)
+relighter = jr.open_store(made.folder)
 view = relighter.view()
 sky = scene.environment
 turned = dataclasses.replace(sky, rotate_y=40.0)
@@ -50,7 +53,7 @@ print("picture", folder / "turned.png", image.shape)
 # `exact` bakes whole rows from the stored visibility at each use: the reference for the kept coefficients.
 
 # %%
-reference = jr.Relighter(jr.exact(relighter.transport)).image(turned, view)
+reference = TransportRelighter(exact(relighter.transport)).image(turned, view)
 print("96 of 1,536 coefficients against all:", jr.image_error(image, reference))
 
 # %% [markdown]

@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 
 from jaxrelight.errors import InputError
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Transport
 
 any_settings: Any = Settings
 
 
 def test_defaults():
-    settings = Settings()
+    settings = Transport("vertices")
     of_cloud = 0, 0.1, 0.01, "disc", False, 0, False, 0
     of_sky = "vertices", 64, 1, 4, "shared", 48, 0.02, 32, 0, 32, "barycentric"
     assert dataclasses.astuple(settings) == (*of_sky, *of_cloud)
@@ -40,7 +40,7 @@ def test_the_ends_of_every_range_are_accepted(good):
 
 @pytest.mark.parametrize(("rays", "side"), [(1, 1), (4, 2), (9, 3), (16, 4), (25, 5)])
 def test_samples_make_a_square(rays, side):
-    assert Settings(visibility_samples=rays).samples_per_side == side
+    assert Transport("vertices", visibility_samples=rays).samples_per_side == side
 
 
 @pytest.mark.parametrize(
@@ -76,4 +76,4 @@ def test_all_else_is_refused_in_one_line(bad, message):
 )
 def test_what_is_no_whole_number_is_refused(wrong):
     with pytest.raises(InputError):
-        Settings(**wrong)
+        Transport(**wrong)

@@ -44,7 +44,7 @@ PUBLIC = {
     "InputError",
     "Mesh",
     "Part",
-    "Relighter",
+    "TransportRelighter",
     "Scene",
     "Settings",
     "ashikhmin_shirley",

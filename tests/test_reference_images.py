@@ -6,7 +6,10 @@ import pathlib
 import numpy as np
 import pytest
 
-from jaxrelight import Relighter, Settings, image_error, load_scene, precompute, read_image
+from jaxrelight import image_error, load_scene, read_image
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.precompute import precompute
 from tests.shared_data import shared
 
 
@@ -24,8 +27,8 @@ def _lit(name: str, resolution: int, shrink: int, folder: pathlib.Path):
         middle = slice(shrink // 2 - 1, shrink // 2 + 1)
         reference = blocks[:, middle, :, middle].mean(axis=(1, 3))
     scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=width, height=height))
-    precompute(scene, Settings("pixels", resolution=resolution, coefficients="all"), folder)
-    relighter = Relighter.open(folder)
+    precompute(scene, Transport("pixels", resolution=resolution, coefficients="all"), folder)
+    relighter = open_store(folder)
     assert scene.environment is not None
     return relighter.image(scene.environment, relighter.view()), reference
 

@@ -2,8 +2,9 @@
 
 import dataclasses
 
+import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
@@ -12,16 +13,14 @@ from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.numerics.arrays import as_array
 
 
-@dataclasses.dataclass(frozen=True)
-class Component:
+class Component(eqx.Module):
     """One BRDF of a material, or one for every texel, and the factor on it, by channel and texture coordinates."""
 
     brdf: Brdf | SpatialLobes
     weight: Weight = ()
 
 
-@dataclasses.dataclass(frozen=True)
-class Material:
+class Material(eqx.Module):
     """Σ_b weight_b(u, v) · f_b(ω_i, ω_o).
 
     Transport is precomputed for each f_b by itself; weights multiply at the view, in every pixel. So a texture stays as
@@ -35,7 +34,7 @@ class Material:
 
     components: tuple[Component, ...]
     normal_map: Texture | None = None
-    emission: Float[np.ndarray, "3"] | None = None
+    emission: Float[Array | np.ndarray, "3"] | None = None
 
     @property
     def needs_uv(self) -> bool:

@@ -28,11 +28,11 @@ class Demo:
         """Runs the command."""
         import time
 
-        from jaxrelight.commands.precompute import as_made
+        from jaxrelight.commands.pictures import describe, describe_build
         from jaxrelight.commands.progress import progress
-        from jaxrelight.commands.relight import describe, timed
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
+        from jaxrelight.precomputation.groups import timed
 
         imports: dict[str, float] = {}
         with timed(imports, "imports"):
@@ -40,22 +40,22 @@ class Demo:
             import numpy as np
 
             from jaxrelight.images import image_error, write_image
-            from jaxrelight.lighting.transport import Relighter
-            from jaxrelight.methods import Settings
-            from jaxrelight.precomputation.load import load
-            from jaxrelight.precomputation.precompute import precompute
+            from jaxrelight.lighting.prepare import prepare_with_build
+            from jaxrelight.lighting.transport import TransportRelighter
+            from jaxrelight.methods import Transport
             from jaxrelight.scene.demo_scene import demo_scene
-            from jaxrelight.transport.rebake import exact
 
         if not 0.05 <= self.detail <= 8 or not 16 <= self.height <= 4096:
             raise InputError("the demo's detail goes from 0.05 to 8, its height from 16 to 4,096")
         start = time.perf_counter()
         scene = demo_scene(self.detail, self.height)
-        sky = scene.environment
+        sky = scene.lights.environment
         assert sky is not None
+        method = Transport("vertices", resolution=32, terms=8, coefficients=256)
         with progress(self.json) as report:
-            made = precompute(scene, Settings(resolution=32, terms=8, coefficients=256), self.output / "store", report)
-        relighter = Relighter(load(made.folder, made.header, made.placed))
+            relighter, build = prepare_with_build(scene, method, self.output / "store", report)
+        assert isinstance(relighter, TransportRelighter)
+        assert build is not None
 
         # Twice as many pixels along each side, averaged afterwards: smooth edges.
         cameras = [
@@ -64,20 +64,20 @@ class Demo:
         ]
         spent: dict[str, list[float]] = {"change_of_light": [], "shading": []}
 
-        def lit(environment, view):
-            """The light terms and the picture, timed."""
+        def relit(relighter, environment, view):
+            """The picture, timed by its parts."""
             began = time.perf_counter()
-            terms = jax.block_until_ready(relighter.light(environment))
+            lit = jax.block_until_ready(relighter.light(environment))
             middle = time.perf_counter()
-            jax.block_until_ready(relighter.shade(terms, view))
+            image = jax.block_until_ready(relighter.shade(lit, view))
             spent["change_of_light"].append(middle - began)
             spent["shading"].append(time.perf_counter() - middle)
-            return relighter.image(environment, view, terms)
+            return image.rgba(relighter.background(lit, view))
 
         rows = []
         for camera in cameras:
             view = relighter.view(camera)
-            pictures = [lit(dataclasses.replace(sky, rotate_y=degrees), view) for degrees in _ROTATIONS]
+            pictures = [relit(relighter, sky.with_(rotate_y=degrees), view) for degrees in _ROTATIONS]
             smooth = [p.reshape(camera.height // 2, 2, camera.width // 2, 2, 4).mean(axis=(1, 3)) for p in pictures]
             rows.append(np.concatenate(smooth, axis=1))
         write_image(self.output / "relit.png", np.concatenate(rows), exposure=-0.3)
@@ -85,25 +85,22 @@ class Demo:
             write_image(self.output / f"sky_turned_{_ROTATIONS[i]:.0f}.png", picture, exposure=-0.3)
 
         # At the size that was asked for: once to compile, then timed.
-        lit(sky, relighter.view())
+        relit(relighter, sky, relighter.view())
         began = time.perf_counter()
         view = relighter.view()
         viewed = time.perf_counter() - began
-        kept = lit(sky, view)
-        reference = Relighter(exact(relighter.transport)).image(sky, view)
-        error = image_error(kept, reference)
+        kept = relit(relighter, sky, view)
+        milliseconds = {"change_of_view": 1e3 * viewed, **{name: 1e3 * times[-1] for name, times in spent.items()}}
+        error = image_error(kept, relit(relighter.exact(), sky, view))
         summarize(
             {
                 "command": "demo",
-                **as_made(made),
+                **describe_build(build),
                 "picture": str(self.output / "relit.png"),
-                **describe(relighter.transport),
-                "milliseconds": {
-                    "change_of_view": 1e3 * viewed,
-                    **{name: 1e3 * times[-1] for name, times in spent.items()},
-                },
+                **describe(relighter),
+                "milliseconds": milliseconds,
                 "error": {"coefficients": error.untrimmed, "without_worst_5_percent": error.trimmed},
-                "seconds": {**imports, **made.seconds, "total": time.perf_counter() - start},
+                "seconds": {**imports, **build.seconds, "total": time.perf_counter() - start},
             },
             self.json,
         )

@@ -38,13 +38,14 @@ class Info:
 def _store(path: pathlib.Path) -> dict:
     import numpy as np
 
-    from jaxrelight.commands.indirect import LEAVES_OUT
-    from jaxrelight.commands.relight import describe
+    from jaxrelight.commands.pictures import describe
     from jaxrelight.files import store
-    from jaxrelight.precomputation.load import load
+    from jaxrelight.lighting.prepare import open_store
+    from jaxrelight.methods import Indirect
 
     header = store.read_header(path)
-    transport, used = load(path, header), set(store.layers_of(header))
+    relighter, used = open_store(path), set(store.layers_of(header))
+    transport = relighter.transport
     for name in sorted(used):
         store.open_layer(path / name).check()
     layers = sorted(folder for folder in path.iterdir() if folder.is_dir())
@@ -60,15 +61,17 @@ def _store(path: pathlib.Path) -> dict:
         "materials": dict(terms),
         "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
-        **describe(transport),
+        "lights": len(transport.stored.local),
+        "leaves_out": list(relighter.method.leaves_out(environment=True, local=bool(transport.stored.local))),
+        **describe(relighter),
     }
-    if transport.cloud:
-        return summary | {"lights": len(transport.lights), "leaves_out": LEAVES_OUT}
+    if isinstance(relighter.method, Indirect):
+        return summary
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
     if dropped:
         # Under light of root-mean-square radiance 1 over the texels, no row is further off than this.
-        worst = max(float(np.sqrt(part.max())) for part in dropped)
-        summary["largest_error_for_unit_light"] = worst * (6 * transport.settings.resolution**2) ** 0.5
+        worst = max(float(np.sqrt(np.asarray(part).max())) for part in dropped)
+        summary["largest_error_for_unit_light"] = worst * (6 * relighter.method.resolution**2) ** 0.5
     return summary
 
 
@@ -79,7 +82,7 @@ def _scene(path: pathlib.Path) -> dict:
 
     scene = open_scene(path)
     notes(scene.notes)
-    sky, camera = scene.environment, scene.camera
+    sky, camera = scene.lights.environment, scene.camera
     return {
         "kind": "scene",
         "scene": str(path),
@@ -94,7 +97,7 @@ def _scene(path: pathlib.Path) -> dict:
         "vertices": sum(len(part.mesh.vertices) for part in scene.parts),
         "materials": {name: _kind(as_material(surface)) for name, surface in scene.materials.items()},
         "camera": {"width": camera.width, "height": camera.height, "fov_y": camera.fov_y},
-        "environment": sky and {"width": sky.pixels.shape[1], "height": sky.pixels.shape[0]},
+        "environment": None if sky is None else {"width": sky.pixels.shape[1], "height": sky.pixels.shape[0]},
     }
 
 

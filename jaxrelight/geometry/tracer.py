@@ -1,5 +1,8 @@
 """Ray queries: the only file that knows embree."""
 
+import functools
+import hashlib
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -11,16 +14,31 @@ OFFSET = 2e-5
 
 
 class Tracer:
-    """Rays against a fixed set of triangles in scene space. Its methods may be called from several threads."""
+    """Rays against a fixed set of triangles in scene space. Its methods may be called from several threads.
+
+    Tracers of the same triangles are equal: what is compiled with one as a static argument serves the others.
+    """
 
     def __init__(self, surfaces: Surfaces):
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
         self._scene = EmbreeScene()
-        TriangleMesh(self._scene, np.ascontiguousarray(surfaces.vertices[surfaces.faces], np.float32))
+        self._triangles = np.ascontiguousarray(surfaces.vertices[surfaces.faces], np.float32)
+        TriangleMesh(self._scene, self._triangles)
         # Embree builds its tree at the first query; that must not happen in two threads at once.
         self._query(np.zeros((1, 3)), np.ones((1, 3)), "OCCLUDED")
+
+    @functools.cached_property
+    def key(self) -> str:
+        """A hash of the triangles."""
+        return hashlib.blake2b(self._triangles.data, digest_size=16).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Tracer) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
 
     def occluded(
         self, origins: Float[np.ndarray, "*r 3"], directions: Float[np.ndarray, "r 3"]

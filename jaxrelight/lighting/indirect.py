@@ -1,125 +1,208 @@
 """Lighting by direct-to-indirect transfer: local lights move, and many bounces follow (Hašan 2006 §3)."""
 
-import dataclasses
 import functools
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxrelight.brdf.material import Component, Material
 from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
-from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
-from jaxrelight.lighting.prefiltered import Seen, look
-from jaxrelight.lighting.shadows import Shadows
-from jaxrelight.lighting.transport import Relighter
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.shadows import (
+    LightGroup,
+    SurfacePoints,
+    Visibility,
+    all_visible,
+    group_lights,
+    surface_points,
+    trace_visibility,
+    unpacked,
+)
+from jaxrelight.lighting.transport import TransportRelighter, TransportView
+from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces, trace_view, with_samples
 from jaxrelight.lights.environment import Environment, coarsened
+from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.local import Light
-from jaxrelight.lights.sky import mean_radiance, nearest_directions
+from jaxrelight.lights.sky import mean_radiance, nearest_directions, sky_of
+from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
-from jaxrelight.transport.model import Transport
+from jaxrelight.transport.model import PrecomputedIndirect, PrecomputedTransport
 
-# Of a cube map as fine as maps of a sky in the cloud are read.
-_SKY = 32
+# Side of the cube map that is as fine as maps of a sky in the cloud are read.
+SKY_RESOLUTION = 32
 
 
-class IndirectRelighter:
-    """Lights what one camera sees by lights at any place.
+class IndirectView(eqx.Module):
+    """What the scene's camera sees: samples of direct light, and pixels of indirect light.
 
-        relighter = IndirectRelighter(load(folder))
-        image = relighter.image([jr.point([0, 1, 0], 3)])
-
-    The parts are apart, and differentiable in lights, albedos and light of the cloud, while shadows stand still:
-    `cloud_light` is what the points of the cloud reflect of lights, `spread` adds what they get from each other, and
-    `gathered` what pixels get of it.
+    Attributes:
+        samples: what the camera sees with several samples a pixel.
+        pixels: the receivers of gathered light.
+        nearest: of every sample the pixel whose indirect light it takes; −1 where it shows no surface.
     """
 
-    def __init__(self, transport: Transport, samples: int = 2):
-        """From a store with gather samples.
+    samples: VisibleSurfaces
+    pixels: TransportView
+    nearest: Int[Array, "fh fw"]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.pixels.shape
+
+
+class IndirectLight(NamedTuple):
+    """Light as `IndirectRelighter` takes it.
+
+    Attributes:
+        environment: that lights, and is seen behind surfaces; None for none.
+        cloud: radiance of the cloud's points that pixels see, with all bounces.
+        groups: lights that light pixels directly: local ones, and distant ones that stand for the environment.
+    """
+
+    environment: Environment | None
+    cloud: Float[Array, "g c"]
+    groups: tuple[LightGroup, ...]
+
+
+class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
+    """Lights what one camera sees by lights at any place; see `Indirect` for the dials.
+
+    The steps of `light` and `shade` are apart, too: `direct_light_at_cloud` is what the points of the cloud emit and
+    reflect of lights, `add_bounces` adds what they get from each other, and `final_gather` what pixels get of it.
+    """
+
+    precomputed: PrecomputedIndirect
+    points: SurfacePoints
+    pixels: TransportRelighter
+
+    def __init__(self, precomputed: PrecomputedIndirect):
+        self.precomputed = precomputed
+        self.pixels = TransportRelighter(precomputed.transport)
+        surfaces, points = precomputed.stored.geometry.surfaces, precomputed.points
+        # Nothing lights the sky.
+        normals = np.where(points.of_sky[:, None], 0, points.normals)
+        self.points = surface_points(
+            precomputed.stored.geometry.tracer,
+            points.positions,
+            points.face_normals,
+            normals,
+            surfaces.centre,
+            surfaces.radius,
+        )
+
+    @property
+    def method(self) -> Indirect:
+        """The dials of the store."""
+        return self.precomputed.method
+
+    @property
+    def camera(self) -> Camera:
+        """The scene's."""
+        return self.precomputed.stored.camera
+
+    @property
+    def transport(self) -> PrecomputedTransport:
+        """From light of the cloud to light terms of pixels."""
+        return self.precomputed.transport
+
+    @property
+    def materials(self) -> tuple[SurfaceMaterial, ...]:
+        """Of what is seen."""
+        return self.pixels.materials
+
+    def scene_lights(self) -> Lights:
+        """The scene's own lights, read from the store."""
+        return self.precomputed.stored.lights()
+
+    def view(self, camera: Camera | None = None, direct_samples: int | None = None) -> IndirectView:
+        """What the scene's camera sees.
 
         Args:
-            transport: of the store.
-            samples: of direct light along each side of a pixel.
+            camera: the scene's, or none.
+            direct_samples: samples of direct light along each side of a pixel; by default the store's dial.
 
         Raises:
-            InputError: for a store of another kind.
+            InputError: for another camera than the scene's.
         """
-        if transport.cloud is None:
-            raise InputError(f"{transport.folder}: a store for light of the sky; precompute with gather samples")
-        self.transport, self.cloud = transport, transport.cloud
-        self._samples = samples
-        self._final = Relighter(transport)
-        surfaces, points = transport.surfaces, transport.cloud.points
-        places = as_array(points.positions * surfaces.radius + surfaces.centre, jnp.float32)
-        # Nothing lights the sky.
-        self._normals = as_array(np.where(points.of_sky[:, None], 0, points.normals), jnp.float32)
-        self._dark = as_array(np.zeros(points.normals.shape), jnp.float32)
-        lifted = points.positions + OFFSET * points.face_normals
-        self.shadows = Shadows(transport.tracer, lifted, places, self._normals, surfaces.radius)
-        self._sky_shares: dict[tuple[int, int], Array] = {}
-        slot, albedo, emission = transport.cloud.slot_of, transport.cloud.albedo, transport.cloud.emission
-        self.albedo, self.emission, self._slot = as_array(albedo), as_array(emission), as_array(slot)
-
-    @functools.cached_property
-    def view(self):
-        """The pixels of the camera."""
-        return self._final.view()
-
-    @functools.cached_property
-    def seen(self) -> Seen:
-        """The samples of direct light."""
-        transport, camera = self.transport, self.transport.camera
-        components = {
-            name: tuple(Component(block.brdf, block.weight) for block in transport.blocks if block.material == name)
-            for name in transport.names
-        }
-        finer = dataclasses.replace(camera, width=self._samples * camera.width, height=self._samples * camera.height)
-        maps = dict(zip(transport.material_of_mesh, transport.normal_maps, strict=True))
-        materials = {name: Material(parts, maps.get(name)) for name, parts in components.items()}
-        return look(transport.surfaces, transport.tracer, finer, transport.material_of_mesh, materials)
-
-    @functools.cached_property
-    def _nearest(self):
-        transport, camera = self.transport, self.transport.camera
-        assert transport.seen is not None
+        if camera is not None and camera != self.camera:
+            raise InputError("this scene was precomputed for one camera; prepare the scene with another one instead")
+        geometry, camera = self.precomputed.stored.geometry, self.camera
+        pixels = self.pixels.view()
+        fine = with_samples(camera, direct_samples or self.method.direct_samples)
+        samples, gbuffer = trace_view(geometry, fine, self.materials)
         angle = 2 * np.tan(np.radians(camera.fov_y) / 2) / camera.height
-        eye = transport.surfaces.to_scene(np.asarray(camera.origin))
-        return as_array(nearest_pixels(self.seen.gbuffer, transport.seen, eye, float(angle)))
+        assert geometry.visible is not None
+        eye = geometry.surfaces.to_scene(np.asarray(camera.origin))
+        return IndirectView(samples, pixels, as_array(nearest_pixels(gbuffer, geometry.visible, eye, float(angle))))
 
-    def cloud_light(
-        self, lights: Sequence[Light], albedo: Float[Array, "g c"] | None = None, shadows: bool = True
+    def light(self, lights: LightsLike, bounces: int | None = None) -> IndirectLight:
+        """Light of the cloud with all bounces. Shadow rays from its points are cast on the host, or by a callback.
+
+        Args:
+            lights: any.
+            bounces: the store's own number, or fewer; 0 for direct light alone.
+        """
+        lights = as_lights(lights)
+        bounces = self.method.bounces if bounces is None else bounces
+        environment, local = lights.environment, list[Light](lights.local)
+        if environment is not None and not self.method.sky:
+            local.append(sky_of(environment, self.method.sky_samples))
+        groups = group_lights(local)
+        total = jnp.zeros_like(self.precomputed.cloud.albedo)
+        if bounces and (groups or self.transport.emits or environment is None):
+            total = self.add_bounces(self.direct_light_at_cloud(groups), bounces)
+        if environment is not None and self.method.sky:
+            pixels = coarsened(environment.pixels, SKY_RESOLUTION)
+            # It has not been reflected yet.
+            sky = self.sky_light(pixels, environment.rotate_y, environment.scale)
+            total = total + self.add_bounces(sky, bounces + 1)
+        return IndirectLight(environment, total, groups)
+
+    def direct_light_at_cloud(
+        self,
+        lights: Sequence[Light] | Sequence[LightGroup],
+        albedo: Float[Array, "g c"] | None = None,
+        shadows: bool = True,
     ) -> Float[Array, "g c"]:
         """Radiance that the cloud's points emit, and reflect of lights: g_d of the paper."""
-        irradiance = self._dark
-        for punctual in (one for light in lights for one in light.parts()):
-            irradiance = _lit(irradiance, *self.shadows.arriving(punctual, shadows), self._normals)
-        return _reflected(irradiance, self.albedo if albedo is None else albedo, self.emission)
+        groups = [one for one in lights if isinstance(one, LightGroup)]
+        groups += group_lights([one for one in lights if isinstance(one, Light)])
+        visibility = trace_visibility(self.points, groups) if shadows else all_visible(self.points, groups)
+        cloud = self.precomputed.cloud
+        irradiance = jnp.zeros_like(cloud.albedo)
+        for group, bits in zip(groups, visibility, strict=True):
+            irradiance = _irradiance(irradiance, self.points, group.lights, bits)
+        return _reflected(irradiance, cloud.albedo if albedo is None else albedo, cloud.emission)
 
-    def sky_light(self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "g c"]:
+    def sky_light(
+        self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y: float = 0.0, scale: float = 1.0
+    ) -> Float[Array, "g c"]:
         """Radiance of the cloud's directions of the sky under a lat-long map. Pure and differentiable in all three.
 
-        It was not reflected yet: `spread` it for one bounce more than light of lamps.
+        It was not reflected yet: it takes one bounce more than light of lamps.
 
         Raises:
             InputError: for a store whose cloud has none.
         """
-        sky = np.flatnonzero(self.cloud.points.of_sky)
+        sky = np.flatnonzero(self.precomputed.points.of_sky)
         if not len(sky):
-            raise InputError(f"{self.transport.folder}: precomputed without the sky; precompute with --sky")
-        height, width = pixels.shape[:2]
-        if (height, width) not in self._sky_shares:
-            towards = self.cloud.points.positions[sky] / FAR
-            self._sky_shares[height, width] = as_array(nearest_directions(towards, height, width))
-        radiance = mean_radiance(pixels, rotate_y, scale, self._sky_shares[height, width], len(sky))
-        return jnp.zeros_like(self._normals).at[sky].set(radiance)
+            raise InputError(f"{self.precomputed.stored.folder}: precomputed without the sky; precompute with --sky")
+        towards = self.precomputed.points.positions[sky] / FAR
+        nearest = _nearest_directions(towards.tobytes(), len(sky), *pixels.shape[:2])
+        radiance = mean_radiance(pixels, rotate_y, scale, nearest, len(sky))
+        return jnp.zeros_like(self.precomputed.cloud.albedo).at[sky].set(radiance)
 
-    def spread(
+    def add_bounces(
         self, light: Float[Array, "g c"], bounces: int | None = None, albedo: Float[Array, "g c"] | None = None
     ) -> Float[Array, "g c"]:
         """(M + I) g: light of the cloud with what its points get from each other, so that pixels see `bounces`.
@@ -128,115 +211,124 @@ class IndirectRelighter:
             InputError: for more than one bounce where the store is of one; where photons were shot, for others than
                 the store's, or for albedos where they met any on their way.
         """
-        bounces = self.transport.settings.bounces if bounces is None else bounces
-        if bounces > 1 and self.cloud.between is None:
-            raise InputError(
-                f"{self.transport.folder}: precomputed for one bounce; precompute with --bounces 2 or more"
-            )
-        photons, most = self.transport.settings.photons, self.transport.settings.bounces
+        cloud, folder = self.precomputed.cloud, self.precomputed.stored.folder
+        bounces = self.method.bounces if bounces is None else bounces
+        if bounces > 1 and cloud.between is None:
+            raise InputError(f"{folder}: precomputed for one bounce; precompute with --bounces 2 or more")
+        photons, most = self.method.photons, self.method.bounces
         if photons and bounces not in (1, most):
-            raise InputError(f"{self.transport.folder}: photons were shot for {most} bounces, not {bounces}")
+            raise InputError(f"{folder}: photons were shot for {most} bounces, not {bounces}")
         if photons and bounces > 2 and albedo is not None:
-            raise InputError(
-                f"{self.transport.folder}: its photons met the albedos they were shot with; gather instead"
-            )
+            raise InputError(f"{folder}: its photons met the albedos they were shot with; gather instead")
         total = light
         for _ in range(min(bounces - 1, 1) if photons else bounces - 1):
-            reflected = self.albedo if albedo is None else albedo
-            total = _bounced(light, reflected, self.cloud.between, self._encoded(total), self._slot)
+            reflected = cloud.albedo if albedo is None else albedo
+            total = _bounced(light, reflected, cloud.between, self._encoded(total), cloud.slot_of)
         return total
 
-    def gathered(self, light: Float[Array, "g c"], by: Literal["all", "diffuse", "glossy"] = "all"):
-        """Radiance [h, w, c] of the pixels by light of the cloud, as all of their BRDFs reflect it or some of them."""
-        terms = self._final.terms(self._encoded(light))
-        if by != "all":
-            blocks = self.transport.blocks
-            chosen = [block.brdf.is_constant == (by == "diffuse") for block in blocks]
-            terms = tuple(part if one else jnp.zeros_like(part) for part, one in zip(terms, chosen, strict=True))
-        return self._final.shade(terms, self.view)
-
-    def indirect(
-        self, lights: Sequence[Light], bounces: int | None = None, sky: Environment | None = None
+    def final_gather(
+        self, light: Float[Array, "g c"], view: IndirectView, by: Literal["all", "diffuse", "glossy"] = "all"
     ) -> Float[Array, "h w c"]:
-        """Radiance of the pixels by light that was reflected on its way to them, and by a sky in the cloud.
+        """Radiance of the pixels by light of the cloud, as all of their BRDFs reflect it or some; with emission."""
+        terms = self.pixels.terms(self._encoded(light))
+        if by != "all":
+            chosen = [block.brdf.is_constant == (by == "diffuse") for block in self.transport.blocks]
+            terms = tuple(part if one else jnp.zeros_like(part) for part, one in zip(terms, chosen, strict=True))
+        return self.pixels.shade_terms(terms, view.pixels)
 
-        Args:
-            lights: any.
-            bounces: the store's own number, or fewer.
-            sky: an environment, for a store with directions of the sky.
-        """
-        return self.gathered(self._spread(lights, bounces, sky))
+    def trace(self, lit: IndirectLight, view: IndirectView, *, report: Report | None = None) -> Visibility:
+        """Shadow rays from the samples of pixels towards all lights."""
+        return trace_visibility(view.samples.points, lit.groups)
 
-    def picture(
-        self, lights: Sequence[Light], bounces: int | None = None, sky: Environment | None = None
-    ) -> Float[Array, "h w 3"]:
-        """Several samples of direct light a pixel, and one of indirect light; nothing where no surface is."""
-        return joined(self.seen.lit_by(lights), self.indirect(lights, bounces, sky), self._nearest)
+    def shade(
+        self, lit: IndirectLight, view: IndirectView, traced: Visibility | None = None, *, report: Report | None = None
+    ) -> Image:
+        """Several samples of direct light a pixel, and one of indirect light; both are layers of the picture."""
+        traced = self.trace(lit, view) if traced is None else traced
+        layers = {
+            "direct": self._direct(lit, view, traced),
+            "indirect": self._smooth(self.final_gather(lit.cloud, view), view),
+        }
+        return Image(layers["direct"] + layers["indirect"], self.alpha(view), layers)
 
-    def image(
-        self,
-        lights: Sequence[Light],
-        bounces: int | None = None,
-        behind: Environment | None = None,
-        sky: Environment | None = None,
-    ) -> Float[np.ndarray, "h w 4"]:
-        """A finished picture, RGBA; an environment behind, which lights nothing: give it as `sky`, or a `Sky` of it."""
-        found, alpha = np.asarray(self.picture(lights, bounces, sky)), self._pooled(self.seen.covered[..., None])
-        if behind is not None:
-            shown = np.where(self.seen.covered[..., None], 0, np.asarray(self.seen.background(behind)))
-            found = found + self._pooled(shown)
-        return np.concatenate([found, alpha], axis=-1, dtype=np.float32)
-
-    def layers(
-        self, lights: Sequence[Light], bounces: int | None = None, sky: Environment | None = None
-    ) -> dict[str, Float[np.ndarray, "h w 3"]]:
-        """Pictures that add up: direct and indirect light by what reflects it last; and again, of each light.
+    def layers(self, lights: LightsLike, view: IndirectView, bounces: int | None = None) -> Image:
+        """The picture with all of its layers, which add up; and again, of each light.
 
         "direct", "indirect.diffuse" and "indirect.glossy" are the picture, with "emission" where surfaces emit light;
         so are "light1", "light2" … and "sky", where there is one, with what emission gives them.
         """
-        black = self.seen.image([])
-        spread = self._spread(lights, bounces, sky)
-        own = self.gathered(self._dark)
-        found = {"direct": averaged(self.seen.lit_by(lights), self._samples)}
+        lights = as_lights(lights)
+        lit = self.light(lights, bounces)
+        own = self.final_gather(jnp.zeros_like(lit.cloud), view)
+        layers = {"direct": self._direct(lit, view, self.trace(lit, view))}
         for kind in ("diffuse", "glossy"):
-            found[f"indirect.{kind}"] = joined(black, self.gathered(spread, kind) - own, self._nearest)
-        none = 0
+            layers[f"indirect.{kind}"] = self._smooth(self.final_gather(lit.cloud, view, kind) - own, view)
+        none = jnp.zeros_like(layers["direct"])
         if self.transport.emits:
-            found["emission"] = joined(black, own, self._nearest)
-            none = self.picture([], bounces)
-        for number, light in enumerate(lights, 1):
-            found[f"light{number}"] = self.picture([light], bounces) - none
-        if sky is not None:
-            found["sky"] = self.picture([], bounces, sky) - none
-        return {name: np.asarray(picture) for name, picture in found.items()}
+            layers["emission"] = self._smooth(own, view)
+            none = self.shade(self.light(None, bounces), view).radiance
+        radiance = sum(layers.values(), jnp.zeros_like(none))
+        for number, light in enumerate(lights.local, 1):
+            layers[f"light{number}"] = self.shade(self.light(light, bounces), view).radiance - none
+        if lights.environment is not None:
+            layers["sky"] = self.shade(self.light(lights.environment, bounces), view).radiance - none
+        return Image(radiance, self.alpha(view), layers)
 
-    def _spread(self, lights: Sequence[Light], bounces: int | None, sky: Environment | None) -> Float[Array, "g c"]:
-        """Light of the cloud that pixels see."""
-        bounces = self.transport.settings.bounces if bounces is None else bounces
-        total = self._dark
-        if bounces and (lights or self.transport.emits or sky is None):
-            total = self.spread(self.cloud_light(lights), bounces)
-        if sky is not None:
-            light = self.sky_light(coarsened(sky.pixels, _SKY), sky.rotate_y, sky.scale)
-            # It has not been reflected yet.
-            total += self.spread(light, bounces + 1)
-        return total
+    def alpha(self, view: IndirectView) -> Float[Array, "h w"]:
+        """The share of each pixel's samples that show a surface."""
+        covered = view.samples.covered.astype(view.samples.u.dtype)
+        return averaged(covered[..., None], _factor(view))[..., 0]
 
-    def _pooled(self, samples: np.ndarray) -> Float[np.ndarray, "h w c"]:
-        """Means over the samples of each pixel."""
-        h, w = self.view.shape
-        return samples.reshape(h, self._samples, w, self._samples, -1).mean(axis=(1, 3))
+    def background(self, lit: IndirectLight, view: IndirectView) -> Float[Array, "h w 3"]:
+        """The environment where samples show no surface."""
+        if lit.environment is None:
+            return jnp.zeros((*view.shape, 3), view.samples.u.dtype)
+        return averaged(behind(view.samples.background(lit.environment), view.samples.covered), _factor(view))
+
+    def _direct(self, lit: IndirectLight, view: IndirectView, traced: Visibility) -> Float[Array, "h w 3"]:
+        direct = shade_lights(self.materials, view.samples, lit.groups, traced)
+        if direct is None:
+            return jnp.zeros((*view.shape, 3), view.samples.u.dtype)
+        return averaged(direct, _factor(view))
+
+    def _smooth(self, radiance: Float[Array, "h w c"], view: IndirectView) -> Float[Array, "h w c"]:
+        """Radiance of pixels as the samples of each see it."""
+        black = jnp.zeros((*view.samples.shape, radiance.shape[-1]), radiance.dtype)
+        return joined(black, radiance, view.nearest)
 
     def _encoded(self, light: Float[Array, "g c"]) -> Float[Array, "g c"]:
         return _encode(self.transport.basis, light)
 
 
+def _factor(view: IndirectView) -> int:
+    """Samples along each side of a pixel."""
+    return view.samples.shape[0] // view.shape[0]
+
+
+@functools.lru_cache(maxsize=4)
+def _nearest_directions(towards: bytes, count: int, height: int, width: int) -> Int[Array, "fh fw"]:
+    """See `nearest_directions`; kept for the next map of the same size."""
+    directions = np.frombuffer(towards).reshape(count, 3)
+    # Kept, so it must not be a caller's tracer.
+    with jax.ensure_compile_time_eval():
+        return as_array(nearest_directions(directions, height, width))
+
+
 @jax.jit
-def _lit(irradiance, incident, visible, normals):
-    """Irradiance with that of another light."""
-    cosine = jnp.maximum(jnp.sum(incident.omega_i * normals, axis=1), 0)
-    return irradiance + incident.irradiance * (cosine * visible)[:, None]
+def _irradiance(irradiance, points: SurfacePoints, lights, bits):
+    """Irradiance of the cloud's points with that of a group of lights."""
+    count = len(irradiance)
+    positions, normals = points.positions[:count], points.normals[:count]
+
+    @jax.checkpoint
+    def add(total, given):
+        light, bits = given
+        incident = light.at(positions)
+        cosine = jnp.maximum(jnp.sum(incident.omega_i * normals, axis=1), 0)
+        visible = unpacked(bits, jnp.zeros((), jnp.int32), count, normals.dtype)
+        return total + incident.irradiance * (cosine * visible)[:, None], None
+
+    return jax.lax.scan(add, irradiance, (lights, bits))[0]
 
 
 @jax.jit

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
-from jaxrelight.lighting.indirect import IndirectRelighter
+from jaxrelight.lighting.contract import Relighter
 from jaxrelight.lights.local import Light
 
 
 class LightLayers:
-    """What an artist holds while lights are set.
+    """What an artist holds while lights are set, under any lighting method.
 
         layers = LightLayers(relighter, lights)
         layers.move(0, jr.point([1, 2, 0], 5))      # one light is computed
@@ -24,11 +24,10 @@ class LightLayers:
         emitted: the picture of that.
     """
 
-    def __init__(self, relighter: IndirectRelighter, lights: Sequence[Light], bounces: int | None = None):
+    def __init__(self, relighter: Relighter, lights: Sequence[Light]):
         """Lights each by itself."""
-        self._relighter, self._bounces = relighter, bounces
-        emits = relighter.transport.emits
-        self.emitted = relighter.picture([], bounces) if emits else jnp.zeros((*relighter.view.shape, 3))
+        self._relighter, self._view = relighter, relighter.view()
+        self.emitted = self._radiance(None)
         self.lights = list(lights)
         self.pictures = jnp.stack([self._alone(light) for light in lights]) if lights else self.emitted[None][:0]
 
@@ -57,7 +56,10 @@ class LightLayers:
         return _mixed(self.pictures, jnp.stack(each), self.emitted) if each else self.emitted
 
     def _alone(self, light: Light) -> Float[Array, "h w c"]:
-        return self._relighter.picture([light], self._bounces) - self.emitted
+        return self._radiance(light) - self.emitted
+
+    def _radiance(self, lights: Light | None) -> Float[Array, "h w c"]:
+        return self._relighter.shade(self._relighter.light(lights), self._view).radiance
 
 
 @jax.jit

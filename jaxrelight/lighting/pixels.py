@@ -12,23 +12,25 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.numerics.buckets import bucket, filled_up
 
 
-class Pixels(eqx.Module):
-    """What every way to light needs of them.
+class SurfacePixels(eqx.Module):
+    """What light and view need of pixels that see one material.
 
     Attributes:
         pixel: place in the flattened image; past its end for padding.
         uv: texture coordinates.
         footprint: the area of them that the pixel covers.
         omega_o: local direction to the eye.
+        frame: rows tangent, binormal, normal.
     """
 
     pixel: Int[Array, " p"]
     uv: Float[Array, "p 2"]
     footprint: Float[Array, " p"]
     omega_o: Float[Array, "p 3"]
+    frame: Float[Array, "p 3 3"]
 
 
-def places(parts: Sequence[Pixels], count: int) -> Int[Array, " n"]:
+def places(parts: Sequence[SurfacePixels], count: int) -> Int[Array, " n"]:
     """Where `assembled` finds each of an image's pixels, of which every part shows others."""
     total = sum(len(part.pixel) for part in parts)
     found, start = np.full(count, total, np.int32), 0

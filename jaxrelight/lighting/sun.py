@@ -14,47 +14,69 @@ from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.geometry.tracer import OFFSET
-from jaxrelight.lights.sun import MOST
+from jaxrelight.methods import Transport
+from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Block, Transport
+from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Receivers whose terms are made at a time.
 _TOGETHER = 1024
 
 
 def sun_terms(
-    transport: Transport, texels: Int[np.ndarray, " n"], radiance: Float[np.ndarray, "n c"]
+    transport: PrecomputedTransport, texels: Int[Array, " n"], radiance: Float[Array, "n c"]
 ) -> tuple[Float[Array, "v k c"], ...]:
     """Light terms of every block under some texels alone, as uncompressed rows have them (Wang 2006 eq. 3).
 
-    What bounces is not among them.
+    What bounces is not among them. Differentiable in the radiance; shadow rays are cast on the host, or by a callback
+    where arrays are traced.
 
     Args:
         transport: whose receivers are lit.
-        texels: numbers of texels of its cube map.
-        radiance: theirs.
+        texels: numbers of `MOST` texels of its cube map.
+        radiance: theirs; 0 for texels that no sun is in.
     """
-    lit = np.flatnonzero(radiance.any(axis=1))
-    s, n = transport.settings.samples_per_side, transport.settings.resolution
-    traced = np.arange(6 * (n * s) ** 2).reshape(6, n, s, n, s).swapaxes(2, 3).reshape(-1, s * s)[texels[lit]].ravel()
-    directions = cubemap.directions(n * s)[traced]
-    irradiance = np.repeat(radiance[lit], s * s, axis=0) * cubemap.solid_angles(n * s)[traced, None]
-    # One length for all suns; directions that fill up are lit by nothing.
-    length = MOST * s * s
-    vectors = np.pad(directions, ((0, length - len(traced)), (0, 0))).astype(np.float32)
-    vectors[len(traced) :, 2] = 1
-    energy = np.pad(irradiance, ((0, length - len(traced)), (0, 0))).astype(np.float32)
-    found, visible = [], {}
+    assert isinstance(transport.method, Transport)
+    s, n = transport.method.samples_per_side, transport.method.resolution
+    samples = np.arange(6 * (n * s) ** 2).reshape(6, n, s, n, s).swapaxes(2, 3).reshape(-1, s * s)
+    vectors, energy, shares = _arriving(
+        texels,
+        radiance,
+        as_array(cubemap.directions(n * s)[samples], np.float32),
+        as_array(cubemap.solid_angles(n * s)[samples], np.float32),
+    )
+    known = jax.lax.stop_gradient((vectors, shares))
+    terms, visible, first = [], None, -1
     for block in transport.blocks:
-        first = int(block.groups[0])
-        if first not in visible:
+        if block.first_group != first:
             # Blocks of one material share its receivers.
-            visible = {first: np.pad(_visible(transport, block, directions), ((0, 0), (0, length - len(traced))))}
-        found.append(_of_block(transport, block, visible[first], vectors, energy))
-    return tuple(found)
+            visible, first = _visibility(transport, block, *known), block.first_group
+        terms.append(_of_block(transport, block, visible, vectors, energy))
+    return tuple(terms)
 
 
-def _visible(transport: Transport, block: Block, directions: Float[np.ndarray, "f 3"]) -> Bool[np.ndarray, "v f"]:
+@jax.jit
+def _arriving(texels, radiance, directions, solid_angles):
+    """Directions of the rays to some texels, what arrives along each, and whether anything does."""
+    vectors, share = directions[texels].reshape(-1, 3), solid_angles[texels].reshape(-1, 1)
+    energy = jnp.repeat(radiance, directions.shape[1], axis=0) * share
+    return vectors, energy, jnp.any(energy > 0, axis=1)
+
+
+def _visibility(transport: PrecomputedTransport, block: Block, vectors, lit) -> Bool[Array, "v f"]:
+    def traced(vectors, lit):
+        directions, lit = np.asarray(vectors), np.asarray(lit)
+        visible = np.zeros((block.group_count * GROUP, len(lit)), bool)
+        visible[:, lit] = _visible(transport, block, directions[lit])
+        return visible
+
+    if not is_traced((vectors, lit)):
+        return as_array(traced(vectors, lit))
+    shape = jax.ShapeDtypeStruct((block.group_count * GROUP, len(lit)), np.bool_)
+    return jax.pure_callback(traced, shape, vectors, lit, vmap_method="sequential")
+
+
+def _visible(transport: PrecomputedTransport, block: Block, directions: Float[np.ndarray, "f 3"]):
     """What is above a receiver's shading normal, and not occluded."""
     receivers, groups = transport.receivers, block.groups
     arrays = receivers.positions[groups], receivers.face_normals[groups], receivers.normals[groups]
@@ -62,28 +84,36 @@ def _visible(transport: Transport, block: Block, directions: Float[np.ndarray, "
     origins = np.asarray(positions + OFFSET * face_normals, np.float32)
 
     def towards(direction):
-        seen = normals @ direction > 0
-        rays = np.broadcast_to(direction.astype(np.float32), (int(seen.sum()), 3))
-        seen[seen] = ~transport.tracer.occluded(origins[seen], rays)
-        return seen
+        visible = normals @ direction > 0
+        rays = np.broadcast_to(direction.astype(np.float32), (int(visible.sum()), 3))
+        visible[visible] = ~transport.tracer.occluded(origins[visible], rays)
+        return visible
 
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        return np.stack(list(pool.map(towards, directions)), axis=1)
+        columns = list(pool.map(towards, directions))
+    return np.stack(columns, axis=1) if columns else np.zeros((len(origins), 0), bool)
 
 
-def _of_block(transport: Transport, block: Block, visible, vectors, energy) -> Float[Array, "v k c"]:
-    count = len(block.groups) * GROUP
+def _of_block(transport: PrecomputedTransport, block: Block, visible, vectors, energy) -> Float[Array, "v k c"]:
+    count = block.group_count * GROUP
     more = padded_receivers(count) - count
 
     def filled(array):
-        flat = np.asarray(array).reshape(count, *np.shape(array)[2:])
-        return np.pad(flat, ((0, more), *[(0, 0)] * (flat.ndim - 1)), mode="edge")
+        flat = array.reshape(count, *np.shape(array)[2:])
+        numbers = jnp if isinstance(array, jax.Array) else np
+        return numbers.pad(flat, ((0, more), *[(0, 0)] * (flat.ndim - 1)), mode="edge")
 
     own, shared = eqx.partition(block.reflection, block.reflection.per_receiver)
     axes = [filled(axis[block.groups]) for axis in (transport.receivers.normals, transport.receivers.tangents)]
     normals, tangents = (axis.astype(np.float32) for axis in axes)
-    seen = np.pad(visible, ((0, more), (0, 0)))
-    return _terms(normals, tangents, seen, jax.tree.map(filled, own), shared, vectors, energy)
+    return _terms(normals, tangents, _filled_rows(visible, more), jax.tree.map(filled, own), shared, vectors, energy)
+
+
+def _filled_rows(visible: Bool[Array, "v f"], more: int) -> Bool[Array, "w f"]:
+    """Visibility followed by rows of nothing."""
+    if is_traced(visible):
+        return jnp.pad(visible, ((0, more), (0, 0)))
+    return as_array(np.pad(np.asarray(visible), ((0, more), (0, 0))))
 
 
 @jax.jit

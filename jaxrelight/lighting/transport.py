@@ -1,60 +1,162 @@
 """Lighting by precomputed transport (Wang 2006 §4.3): light → light terms, and light terms → image."""
 
-import pathlib
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.cubemap import Texels
+from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.lighting.pixels import assembled
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.pixels import SurfacePixels, padded
+from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
-from jaxrelight.lighting.view import MaterialPixels, View, make_view
+from jaxrelight.lighting.visible_surfaces import (
+    SurfaceMaterial,
+    VisibleSurfaces,
+    emitted,
+    surface_material,
+    trace_view,
+)
 from jaxrelight.lights.environment import Environment, coarsened, encode
+from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.sun import split_sun
+from jaxrelight.methods import Transport
+from jaxrelight.numerics.arrays import is_traced
 from jaxrelight.operators.algebra import Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
-from jaxrelight.precomputation.load import load
+from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Block, Transport
+from jaxrelight.transport.model import Block, PrecomputedTransport
 
-# Light terms [receivers, k, c] of every block of the operator; with a leading axis where they are of many lights.
+# Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
 LightTerms = tuple[Float[Array, "*n v k c"], ...]
 
 
-class Relighter:
-    """Lights a precomputed scene.
+class Corners(eqx.Module):
+    """The receivers between which each pixel of a part lies.
 
-    The two costs are apart: `light` is paid when the light changes, `shade` when the view changes.
-
-        relighter = Relighter(load(folder))
-        view = relighter.view(camera)
-        image = relighter.shade(relighter.light(environment), view)
+    Attributes:
+        receivers: numbers among the material's receivers: one, or the three corners of the face seen.
+        weights: theirs.
     """
 
-    def __init__(self, transport: Transport):
+    receivers: Int[Array, "p b"]
+    weights: Float[Array, "p b"]
+
+
+class TransportView(eqx.Module):
+    """What a camera sees of precomputed receivers.
+
+    Attributes:
+        surfaces: what it sees.
+        corners: the receivers of each part's pixels.
+    """
+
+    surfaces: VisibleSurfaces
+    corners: tuple[Corners, ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.surfaces.shape
+
+
+class TransportLight(NamedTuple):
+    """Light as `TransportRelighter` takes it.
+
+    Attributes:
+        environment: None for none.
+        terms: light terms of every block, under the environment and what surfaces emit.
+        groups: the local lights.
+    """
+
+    environment: Environment | None
+    terms: LightTerms
+    groups: tuple[LightGroup, ...]
+
+
+class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
+    """Lights a precomputed scene from an environment with shadows and bounces; see `Transport` for the dials.
+
+    Local lights are direct light with shadow rays.
+    """
+
+    transport: PrecomputedTransport
+    materials: tuple[SurfaceMaterial, ...]
+
+    def __init__(self, transport: PrecomputedTransport):
         self.transport = transport
+        names = list(dict.fromkeys(block.material for block in transport.blocks))
+        self.materials = tuple(_material(name, transport.blocks) for name in names)
 
-    @classmethod
-    def open(cls, folder: str | pathlib.Path) -> "Relighter":
-        """A relighter from a store."""
-        return cls(load(folder))
+    @property
+    def method(self) -> Transport:
+        """The dials of the store."""
+        assert isinstance(self.transport.method, Transport)
+        return self.transport.method
 
-    def light_vector(self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y=0.0, scale=1.0) -> Float[Array, "d c"]:
+    @property
+    def camera(self) -> Camera:
+        """The scene's."""
+        return self.transport.stored.camera
+
+    def scene_lights(self) -> Lights:
+        """The scene's own lights, read from the store."""
+        return self.transport.stored.lights()
+
+    def exact(self) -> "TransportRelighter":
+        """The same with nothing of direct light left out: rows are baked from visibility at every use.
+
+        The reference for what compression leaves out; see `transport.rebake.exact`.
+        """
+        return TransportRelighter(baking.exact(self.transport))
+
+    def rebake(self, reflections: Sequence[Reflection]) -> "TransportRelighter":
+        """The same with another reflection for each block, without a new ray; differentiable in the reflections.
+
+        See `transport.rebake.rebake`.
+
+        Raises:
+            InputError: where light bounces.
+        """
+        return TransportRelighter(baking.rebake(self.transport, list(reflections)))
+
+    def view(self, camera: Camera | None = None) -> TransportView:
+        """What a camera sees; by default the scene's.
+
+        Raises:
+            InputError: for another camera than the scene's where receivers are pixels.
+        """
+        own = self.camera
+        camera = camera or own
+        if self.transport.method.receivers == "pixels" and camera != own:
+            raise InputError(
+                "this scene was precomputed for the pixels of one camera; "
+                "for other views precompute with receivers 'vertices' (--receivers vertices)"
+            )
+        return _traced_view(self.transport, self.materials, camera)
+
+    def light_vector(
+        self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y: float = 0.0, scale: float = 1.0
+    ) -> Float[Array, "d c"]:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]
-        resampling = latlong.area_resampling(height, width, self.transport.settings.resolution)
+        resampling = latlong.area_resampling(height, width, self.method.resolution)
         return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array, "*n d c"]) -> LightTerms:
@@ -63,35 +165,48 @@ class Relighter:
         Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
         about the same size compiles nothing new. Of n light vectors, terms are [n, v, k, c], by one product for all,
         which is compiled anew for every n: with clusters, it costs less than one after the other.
-        """
-        each = self.transport.each
-        return tuple(_with_emitted(_terms(operator, light, block), block) for block, operator in each)
 
-    def light(self, environment: Environment, split_sun: bool = True) -> LightTerms:
-        """Light terms under an environment: what a change of light costs.
-
-        Args:
-            environment: the light.
-            split_sun: integrate the few texels of a sun, where there is one, by themselves, with a shadow ray from
-                every receiver to each; what they bounce comes from the operator like all else. What is compressed is
-                farthest off under a sun. As it is found by how much it outshines the rest, terms are linear in the
-                light only to within what compression leaves out; without this they are linear.
+        Raises:
+            InputError: for a light of another number of coefficients.
         """
-        transport = self.transport
-        if transport.settings.coefficients == "all" or not split_sun:
-            return self.terms(self._light_vector_of(environment))
-        pixels = coarsened(environment.pixels, transport.settings.resolution)
-        resampling = latlong.area_resampling(*pixels.shape[:2], transport.settings.resolution)
-        arguments = pixels, environment.rotate_y, environment.scale, resampling, transport.basis
+        d = self.transport.operator.shape[1]
+        if light.ndim not in (2, 3) or light.shape[-2] != d:
+            raise InputError(f"light has shape {tuple(light.shape)}; it must be [{d:,}, c], or [n, {d:,}, c]")
+        return tuple(_with_emitted(_terms(block.operator, light, block), block) for block in self.transport.blocks)
+
+    def light(self, lights: LightsLike) -> TransportLight:
+        """Light terms under an environment, and the local lights: what a change of light costs.
+
+        Where rows are compressed, the few texels of a sun are integrated by themselves, with a shadow ray from every
+        receiver to each; what they bounce comes from the operator like all else. As a sun is found by how much it
+        outshines the rest, terms are linear in the light only to within what compression leaves out; with
+        `split_sun=False` among the dials they are linear.
+        """
+        lights = as_lights(lights)
+        environment = lights.environment
+        if environment is None:
+            pixels = np.zeros((2, 4, 3), np.float32)
+            terms = self.terms(self.light_vector(pixels))
+        elif self.method.coefficients == "all" or not self.method.split_sun:
+            terms = self.terms(self._light_vector_of(environment))
+        else:
+            terms = self._terms_with_sun(environment)
+        return TransportLight(environment, terms, group_lights(lights.local))
+
+    def _terms_with_sun(self, environment: Environment) -> LightTerms:
+        pixels = coarsened(environment.pixels, self.method.resolution)
+        resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution)
+        arguments = pixels, environment.rotate_y, environment.scale, resampling, self.transport.basis
         rest, sun, texels, radiance = _split(*arguments)
-        terms, radiance = self.terms(rest), np.asarray(radiance)
-        if not radiance.any():
+        terms = self.terms(rest)
+        known = jax.lax.stop_gradient(radiance)
+        if not is_traced(known) and not np.asarray(known).any():
             return terms
-        found = list(sun_terms(transport, np.asarray(texels), radiance))
-        for number, (block, operator) in enumerate(transport.each):
-            for bounced in parts_of(operator)[1:]:
-                found[number] += _terms(bounced, sun, block)
-        return tuple(part + more for part, more in zip(terms, found, strict=True))
+        with_sun = list(sun_terms(self.transport, texels, radiance))
+        for number, block in enumerate(self.transport.blocks):
+            for bounced in parts_of(block.operator)[1:]:
+                with_sun[number] += _terms(bounced, sun, block)
+        return tuple(part + more for part, more in zip(terms, with_sun, strict=True))
 
     def light_many(self, environments: Sequence[Environment]) -> LightTerms:
         """Light terms [n, v, k, c] under each of n environments, all at once; no sun is split off.
@@ -101,57 +216,92 @@ class Relighter:
         return self.terms(jnp.stack([self._light_vector_of(one) for one in environments]))
 
     def _light_vector_of(self, environment: Environment) -> Float[Array, "d c"]:
-        pixels = coarsened(environment.pixels, self.transport.settings.resolution)
+        pixels = coarsened(environment.pixels, self.method.resolution)
         return self.light_vector(pixels, environment.rotate_y, environment.scale)
 
-    def view(self, camera: Camera | None = None) -> View:
-        """A camera's view; by default the scene's camera.
+    def trace(self, lit: TransportLight, view: TransportView, *, report: Report | None = None) -> Visibility:
+        """Shadow rays from pixels towards local lights."""
+        return trace_visibility(view.surfaces.points, lit.groups)
 
-        Raises:
-            InputError: for another camera than the scene's where receivers are pixels.
-        """
-        own = self.transport.camera
-        camera = camera or own
-        if self.transport.settings.receivers == "pixels" and camera != own:
-            raise InputError(
-                "this store was precomputed for the pixels of one camera; "
-                "for other views precompute with --receivers vertices"
-            )
-        return make_view(self.transport, camera)
+    def shade(
+        self,
+        lit: TransportLight,
+        view: TransportView,
+        traced: Visibility | None = None,
+        *,
+        report: Report | None = None,
+    ) -> Image:
+        """Radiance of every pixel: light terms closed by the view, direct light of local lights, and emission."""
+        traced = self.trace(lit, view) if traced is None else traced
+        radiance = self.shade_terms(lit.terms, view)
+        direct = shade_lights(self.materials, view.surfaces, lit.groups, traced)
+        radiance = radiance if direct is None else radiance + direct
+        return Image(radiance, view.surfaces.covered.astype(radiance.dtype))
 
-    def shade(self, terms: LightTerms, view: View, weights: tuple[Weight, ...] | None = None) -> Float[Array, "h w c"]:
-        """Radiance of every pixel, 0 where no surface is seen: what a change of view costs, beside `view` itself.
+    def shade_terms(
+        self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...] | None = None
+    ) -> Float[Array, "h w c"]:
+        """Radiance of every pixel by light terms, 0 where no surface is seen: what a change of view costs.
 
         Terms are interpolated to the pixel, then closed by the view side of its own direction to the eye and by the
-        weights at its texture coordinates: Σ_b w_b Σ_k view_side_bk · (T_b x)_k. Differentiable in terms and weights.
+        weights at its texture coordinates: Σ_b w_b Σ_k view_side_bk · (T_b x)_k. Emission is added. Differentiable in
+        terms and weights.
 
         Args:
-            terms: from `light`.
+            terms: of every block.
             view: from `view`.
-            weights: of the transport's blocks; by default those that they have.
+            weights: of the blocks; by default those that they have.
         """
         blocks = self.transport.blocks
-        reflections = tuple(_view_sides(block.reflection) for block in blocks)
         weights = tuple(block.weight for block in blocks) if weights is None else weights
-        image = shade(reflections, weights, terms, view)
-        for block, pixels in zip(blocks, view.materials, strict=True):
-            if block.emission is not None:
-                image = _add_emission(image, jnp.asarray(block.emission), pixels)
-        return image
+        names = [material.name for material in self.materials]
+        of_material: dict[int, list[int]] = {number: [] for number in range(len(names))}
+        for number, block in enumerate(blocks):
+            of_material[names.index(block.material)].append(number)
+        rows = []
+        for part, corners in zip(view.surfaces.parts, view.corners, strict=True):
+            radiance = emitted(self.materials[part.material].emission, part.pixels)
+            for number in of_material[part.material]:
+                reflection = _view_sides(blocks[number].reflection)
+                radiance = _radiance(reflection, weights[number], terms[number], part.pixels, corners, radiance)
+            rows.append(radiance)
+        return view.surfaces.image(rows)
 
-    def background(self, environment: Environment, view: View) -> Float[Array, "h w 3"]:
-        """The environment in every pixel's direction."""
-        u, v = view.image_coordinates
-        return _look_up(environment.pixels, u, v, np.float32(environment.rotate_y / 360), environment.scale)
+    def background(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"]:
+        """The environment where no surface is seen."""
+        surfaces = view.surfaces
+        if lit.environment is None:
+            return jnp.zeros((*view.shape, 3), surfaces.u.dtype)
+        return behind(surfaces.background(lit.environment), surfaces.covered)
 
-    def image(
-        self, environment: Environment, view: View, terms: LightTerms | None = None, background: bool = True
-    ) -> Float[np.ndarray, "h w 4"]:
-        """A finished picture, RGBA: alpha 1 where a surface is seen, the environment behind unless told otherwise."""
-        surface = np.asarray(self.shade(terms or self.light(environment), view))
-        if background:
-            surface = np.where(view.covered[..., None], surface, np.asarray(self.background(environment, view)))
-        return np.concatenate([surface, view.covered[..., None]], axis=-1, dtype=np.float32)
+
+def _material(name: str, blocks: Sequence[Block]) -> SurfaceMaterial:
+    """A material put together from its blocks."""
+    mine = [block for block in blocks if block.material == name]
+    emission = next((block.emission for block in mine if block.emission is not None), None)
+    return surface_material(name, Material(tuple(Component(b.brdf, b.weight) for b in mine), None, emission))
+
+
+def _traced_view(
+    transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera
+) -> TransportView:
+    """Traces a camera's rays and finds each pixel's receivers; what the camera of pixel receivers sees is known."""
+    geometry, receivers = transport.geometry, transport.receivers
+    surfaces, gbuffer = trace_view(geometry, camera, materials, geometry.visible)
+    vertices = transport.method.receivers == "vertices"
+    corners = np.where(gbuffer.back[:, None], geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
+    slots = receivers.slot_of[corners] if vertices else receivers.slot_of[:, None]
+    weights = gbuffer.barycentric if vertices else np.ones((len(slots), 1))
+    first = {block.material: block.first_group * GROUP for block in transport.blocks}
+    number_of_pixel = np.cumsum(gbuffer.covered.ravel()) - 1
+    found = []
+    for part in surfaces.parts:
+        pixel = np.asarray(part.pixels.pixel)
+        mine = number_of_pixel[pixel[pixel < gbuffer.covered.size]]
+        own = slots[mine] - first[materials[part.material].name]
+        every = np.arange(len(mine))
+        found.append(Corners(jax.device_put(padded(own, every)), jax.device_put(padded(weights[mine], every))))
+    return TransportView(surfaces, tuple(found))
 
 
 @jax.jit
@@ -164,7 +314,7 @@ def _split(pixels, rotate_y, scale, resampling, basis):
 
 def _terms(operator: Operator, light: Float[Array, "*n d c"], block: Block) -> Float[Array, "*n v k c"]:
     """One block's light terms of a light or many, compiled unless the operator reads a store as it goes."""
-    receivers = padded_receivers(len(block.groups) * GROUP)
+    receivers = padded_receivers(block.group_count * GROUP)
     if isinstance(operator, Summed):
         first, *others = (_terms(part, light, block) for part in operator.operators)
         return sum(others, first)
@@ -178,33 +328,23 @@ def _terms(operator: Operator, light: Float[Array, "*n d c"], block: Block) -> F
 
 def _with_emitted(terms: Float[Array, "v k c"], block: Block) -> Float[Array, "v k c"]:
     """Light terms of the sky, and of what surfaces emit."""
-    if block.emitted is None:
-        return terms
-    more = terms.shape[-3] - len(block.emitted)
-    return terms + np.pad(block.emitted, ((0, more), (0, 0), (0, 0)))
+    return terms if block.emitted is None else _padded_sum(terms, block.emitted)
 
 
 @jax.jit
-def _add_emission(image: Float[Array, "h w c"], emission: Float[Array, " c"], pixels: MaterialPixels):
-    h, w, c = image.shape
-    radiance = jnp.where(pixels.omega_o[:, 2:] > 0, emission, 0)
-    return image.reshape(h * w, c).at[pixels.pixel].add(radiance, mode="drop").reshape(h, w, c)
+def _padded_sum(terms, emitted):
+    return terms + jnp.pad(emitted, ((0, terms.shape[-3] - len(emitted)), (0, 0), (0, 0)))
 
 
 def _product(operator: Operator, light: Float[Array, "*n d c"], receivers: int, terms: int) -> Float[Array, "*n v k c"]:
     """The product, its rows by receiver; cut, or followed by zeros, to a number of receivers."""
-    found = operator.apply(light) if light.ndim == 2 else operator.apply_many(light)
-    more = max(receivers * terms - found.shape[-2], 0)
-    found = jnp.pad(found, [*[(0, 0)] * (found.ndim - 2), (0, more), (0, 0)])[..., : receivers * terms, :]
-    return found.reshape(*found.shape[:-2], receivers, terms, found.shape[-1])
+    radiance = operator.apply(light) if light.ndim == 2 else operator.apply_many(light)
+    more = max(receivers * terms - radiance.shape[-2], 0)
+    radiance = jnp.pad(radiance, [*[(0, 0)] * (radiance.ndim - 2), (0, more), (0, 0)])[..., : receivers * terms, :]
+    return radiance.reshape(*radiance.shape[:-2], receivers, terms, radiance.shape[-1])
 
 
 _compiled_terms = jax.jit(_product, static_argnames=("receivers", "terms"))
-
-
-@jax.jit
-def _look_up(pixels, u, v, turn, scale):
-    return latlong.look_up(pixels, u + turn, v) * scale
 
 
 def _view_sides(reflection: Reflection) -> Reflection:
@@ -212,33 +352,17 @@ def _view_sides(reflection: Reflection) -> Reflection:
     return FixedView(reflection.brdf, jnp.zeros(3)) if isinstance(reflection, FixedView) else reflection
 
 
-def shade(
-    reflections: tuple[Reflection, ...],
-    weights: tuple[Weight, ...],
-    terms: LightTerms,
-    view: View,
-) -> Float[Array, "h w c"]:
-    """Radiance of the pixels of all blocks; see `Relighter.shade`.
-
-    Each block is compiled by itself: as the view moves, every block's number of pixels changes on its own.
-    """
-    parts: dict[int, Array] = {}
-    for number, *block in zip(view.part_of_block, reflections, weights, terms, strict=True):
-        parts[number] = _radiance(*block, view.parts[number], parts.get(number))
-    return assembled([parts[number] for number in range(len(view.parts))], view.place, view.shape)
-
-
 @jax.jit
 def _radiance(
     reflection: Reflection,
     weight: Weight,
     terms: Float[Array, "v k c"],
-    pixels: MaterialPixels,
-    others: Float[Array, "p c"] | None,
+    pixels: SurfacePixels,
+    corners: Corners,
+    others: Float[Array, "p c"],
 ) -> Float[Array, "p c"]:
-    corners = terms.at[pixels.receivers].get(mode="promise_in_bounds")
+    at_corners = terms.at[corners.receivers].get(mode="promise_in_bounds")
     # pixels p, corners b, terms k, channels c
-    light = jnp.einsum("pb,pbkc->pkc", pixels.weights, corners, precision="highest")
+    light = jnp.einsum("pb,pbkc->pkc", corners.weights, at_corners, precision="highest")
     view = outgoing(reflection, weight, pixels.omega_o, pixels.uv, pixels.footprint)
-    radiance = jnp.sum(view * light, axis=1)
-    return radiance if others is None else others + radiance
+    return others + jnp.sum(view * light, axis=1)

@@ -1,38 +1,84 @@
 """Distant light: a picture of the whole sphere becomes a lat-long map, and that a light vector."""
 
-import dataclasses
 import pathlib
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
 from jaxrelight.errors import InputError
 from jaxrelight.lights.layouts import faces_of
+from jaxrelight.numerics.arrays import as_array, on_host
 
 
-@dataclasses.dataclass(frozen=True)
-class Environment:
-    """A lat-long map of radiance and how it is placed.
+class _Unseen:
+    """Lines that no compiled program depends on: any are equal to any others."""
+
+    def __init__(self, lines: tuple[str, ...]):
+        self.lines = tuple(lines)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Unseen)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+class Environment(eqx.Module):
+    """A lat-long map of radiance and how it is placed. A pytree: light is differentiable in its arrays.
 
     Attributes:
-        pixels: linear Rec.709 radiance, finite and not negative, of any height and width; see `latlong` for the
-            orientation.
-        rotate_y: degrees it is turned about +y, counter-clockwise seen from +y.
+        pixels: linear Rec.709 radiance of any height and width; see `latlong` for the orientation.
+        rotate_y: degrees by which it is turned about +y, counter-clockwise seen from +y.
         scale: factor on the radiance.
-        notes: one line for everything that was mended.
+        notes: one line for everything that was mended. They are no part of the pytree: no program depends on them.
     """
 
-    pixels: Float[np.ndarray, "h w 3"]
-    rotate_y: float = 0.0
-    scale: float = 1.0
-    notes: tuple[str, ...] = ()
+    pixels: Float[Array, "h w 3"]
+    rotate_y: float | Float[Array, ""]
+    scale: float | Float[Array, ""]
+    _notes: _Unseen = eqx.field(static=True)
 
-    def __post_init__(self):
-        if not (np.isfinite(self.rotate_y) and np.isfinite(self.scale) and self.scale >= 0):
+    def __init__(
+        self,
+        pixels: Float[Array | np.ndarray, "h w 3"],
+        rotate_y: float | Float[Array, ""] = 0.0,
+        scale: float | Float[Array, ""] = 1.0,
+        notes: tuple[str, ...] = (),
+    ):
+        """Of pixels, which are checked unless they are traced.
+
+        Negative pixels are clamped and counted in the notes.
+
+        Raises:
+            InputError: for another shape than [h, w, 3], pixels that are NaN or infinite, a rotation that is not
+                finite, or a negative scale.
+        """
+        if isinstance(pixels, Tracer):
+            self.pixels = pixels
+        else:
+            checked, more = _checked(pixels, "the environment", zero_nonfinite=False)
+            self.pixels, notes = as_array(checked), (*notes, *more)
+        numbers = [number for number in (rotate_y, scale) if not isinstance(number, Tracer)]
+        if not np.all(np.isfinite(numbers)) or not (isinstance(scale, Tracer) or scale >= 0):
             raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
+        self.rotate_y, self.scale, self._notes = rotate_y, scale, _Unseen(notes)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One line for everything that was mended."""
+        return self._notes.lines
+
+    def with_(
+        self, rotate_y: float | Float[Array, ""] | None = None, scale: float | Float[Array, ""] | None = None
+    ) -> "Environment":
+        """The same map, turned or scaled otherwise."""
+        rotate_y, scale = (own if new is None else new for own, new in ((self.rotate_y, rotate_y), (self.scale, scale)))
+        return Environment(self.pixels, rotate_y, scale, self.notes)
 
 
 def environment(
@@ -58,8 +104,20 @@ def environment(
     Raises:
         InputError: for another shape than [h, w, 3 or 4], a layout that does not fit, or pixels that are not finite.
     """
-    with np.errstate(over="ignore"):
-        pixels = np.asarray(pixels, np.float32)
+    pixels, notes = _checked(pixels, name, zero_nonfinite)
+    faces, guess = faces_of(pixels, layout, name)
+    if faces is not None:
+        pixels = latlong.from_cube(faces)
+    notes += [guess] if guess else []
+    return Environment(np.ascontiguousarray(pixels), rotate_y, scale, tuple(notes))
+
+
+def _checked(pixels, name: str, zero_nonfinite: bool) -> tuple[np.ndarray, list[str]]:
+    """Pixels of three channels, finite and not negative, and what was mended."""
+    pixels = np.asarray(pixels)
+    if pixels.dtype != np.float64 or not jax.config.jax_enable_x64:
+        with np.errstate(over="ignore"):
+            pixels = pixels.astype(np.float32, copy=False)
     if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4):
         raise InputError(f"{name} has shape {pixels.shape}; an environment is h × w pixels of three channels")
     pixels, notes = pixels[..., :3], []
@@ -77,11 +135,7 @@ def environment(
     if negative.any():
         notes.append(f"{name}: {negative.sum():,} pixels had negative channels, clamped to 0")
         pixels = np.maximum(pixels, 0)
-    faces, guess = faces_of(pixels, layout, name)
-    if faces is not None:
-        pixels = latlong.from_cube(faces)
-    notes += [guess] if guess else []
-    return Environment(np.ascontiguousarray(pixels), float(rotate_y), float(scale), tuple(notes))
+    return pixels, notes
 
 
 def load_environment(
@@ -99,12 +153,12 @@ def load_environment(
     return environment(read_image(path), rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite, name=name)
 
 
-def coarsened(pixels: Float[np.ndarray, "h w 3"], resolution: int) -> Float[np.ndarray, "g u 3"]:
+def coarsened(pixels: Float[Array | np.ndarray, "h w c"], resolution: int) -> Float[Array | np.ndarray, "g u c"]:
     """The map with rows and columns halved, by area, until its pixels are a quarter of the texels of a cube map.
 
     Finer pixels change nothing that a texel's mean could show. The cube map has 6×resolution² texels.
     """
-    pixels = np.asarray(pixels, np.float32)
+    pixels = on_host(pixels)
     height, width = pixels.shape[:2]
     while height >= 16 * resolution:
         height = -(-height // 2)

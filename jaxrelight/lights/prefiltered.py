@@ -16,7 +16,7 @@ _PER_DOUBLING = 2
 _SHARPEST = 2**14
 
 
-class Prefiltered(eqx.Module):
+class PrefilteredMaps(eqx.Module):
     """Means S(p, n) (n + 1)/2π of an environment's radiance, weighted by max(0, p·ω)ⁿ around every direction p.
 
     The diffuse map D(n) = ∫ max(0, n·ω) L(ω) dω is the same as S(n, 1), so it is among them.
@@ -82,7 +82,7 @@ def exponents() -> list[float]:
     return [2 ** (level / _PER_DOUBLING) - 1 for level in range(count)]
 
 
-def prefilter(pixels: Float[Array | np.ndarray, "h w c"], finest: int = 512, equal: bool = False) -> Prefiltered:
+def prefilter(pixels: Float[Array | np.ndarray, "h w c"], finest: int = 512, equal: bool = False) -> PrefilteredMaps:
     """All maps of an environment's radiance; linear and differentiable in it.
 
     Args:
@@ -99,4 +99,4 @@ def prefilter(pixels: Float[Array | np.ndarray, "h w c"], finest: int = 512, equ
     heights = [finest if equal else min(max(height, 32), finest) for height in fitting]
     resized = {height: jnp.asarray(latlong.resized(pixels, height, 2 * height)) for height in sorted({*heights})}
     maps = [zonal_means(resized[height], n) for height, n in zip(heights, exponents(), strict=True)]
-    return Prefiltered(jnp.concatenate([one.reshape(-1, one.shape[-1]) for one in maps]), tuple(heights))
+    return PrefilteredMaps(jnp.concatenate([one.reshape(-1, one.shape[-1]) for one in maps]), tuple(heights))

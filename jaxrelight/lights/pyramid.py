@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 from jaxrelight.basis import latlong
 from jaxrelight.basis.local_frequency import around_sphere, local_frequency
 from jaxrelight.lights.environment import Environment
-from jaxrelight.lights.sky import Sky
+from jaxrelight.lights.sky import Sky, turned
 from jaxrelight.lights.sun import without_sun
-from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.arrays import as_array, is_traced, on_host
 
 # Rows of the finest level of what predicts: it needs no finer map.
 _ROWS = 512
@@ -70,48 +70,41 @@ class Cells(eqx.Module):
 
 
 class LightPyramid(eqx.Module):
-    """An environment as samples see it. Differentiable in its radiance.
+    """An environment as samples see it. Linear in the environment and differentiable.
 
     Attributes:
-        radiance: three channels.
+        radiance: three channels, without the sun, as the environment is turned by 0.
         detail: of the mean of the channels, radiance, its square, and radiance times the square of bandwidth in cycles
-            per radian.
-        sun: what outshines all that by far is not among it; as the environment is turned by 0.
-        turn: by which it is turned about +y, as a part of the circle.
+            per radian: what predicts. None of an environment whose pixels are traced.
+        sun: what outshines all that by far, as directions in the world.
+        turn: by which the environment is turned about +y, as a part of the circle.
+        scale: factor on radiance and detail.
     """
 
     radiance: Cells
-    detail: Cells
+    detail: Cells | None
     sun: Sky
     turn: Float[Array, ""]
-
-    def turned_sun(self) -> Sky:
-        """The sun's directions in the world."""
-        return _turned(self.sun, self.turn)
+    scale: Float[Array, ""]
 
     def radiance_at(self, omega: Float[Array, "3"], solid_angle: Float[Array, ""] | None = None) -> Float[Array, "3"]:
         """Mean radiance of about a solid angle around a direction; without one, of its texel."""
-        return self.radiance.look_up(*self._place(omega), solid_angle)
+        return self.scale * self.radiance.look_up(*self._place(omega), solid_angle)
 
     def detail_at(
         self, omega: Float[Array, "3"], solid_angle: Float[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         """Mean radiance, its mean square and root-mean-square bandwidth of about a solid angle around a direction."""
+        assert self.detail is not None
         mean, square, varied = self.detail.look_up(*self._place(omega), solid_angle)
         some = (mean > 0) & (varied > 0)
-        return mean, square, jnp.where(some, jnp.sqrt(jnp.where(some, varied, 1) / jnp.where(some, mean, 1)), 0)
+        bandwidth = jnp.where(some, jnp.sqrt(jnp.where(some, varied, 1) / jnp.where(some, mean, 1)), 0)
+        return self.scale * mean, self.scale**2 * square, bandwidth
 
     def _place(self, omega):
         u, v = latlong.finite_coordinates(omega)
         u = u + self.turn
         return u - jnp.floor(u), v
-
-
-@jax.jit
-def _turned(sun: Sky, turn) -> Sky:
-    cosine, sine = jnp.cos(2 * np.pi * turn), jnp.sin(2 * np.pi * turn)
-    x, y, z = sun.directions.T
-    return Sky(jnp.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=1), sun.irradiance)
 
 
 def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g v"]:
@@ -125,15 +118,23 @@ def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g 
 
 
 def light_pyramid(environment: Environment) -> LightPyramid:
-    """Of an environment, turned as it is; its `scale` is left to whoever looks up."""
-    pixels, sun = without_sun(np.asarray(environment.pixels, np.float32))
+    """Of an environment, as it is turned and scaled."""
+    pixels, sun = without_sun(environment.pixels)
+    turn, scale = (as_array(number, pixels.dtype) for number in (environment.rotate_y / 360, environment.scale))
+    sun = Sky(turned(sun.directions, environment.rotate_y), sun.irradiance * scale)
+    known = jax.lax.stop_gradient(pixels)
+    detail = None if is_traced(known) else _detail(np.asarray(known, np.float32))
+    return LightPyramid(cells(on_host(pixels)), detail, sun, turn, scale)
+
+
+def _detail(pixels: Float[np.ndarray, "h w 3"]) -> Cells:
+    """See `LightPyramid.detail`; of a map without its sun, which no sample would find."""
     bandwidth = light_bandwidth(pixels)
     grey = pixels.mean(axis=2, keepdims=True)
     finest = latlong.resized(np.concatenate([grey, grey**2], axis=2), len(bandwidth), 2 * len(bandwidth))
     finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None] ** 2], axis=2)
     rows = min(len(bandwidth), _ROWS)
-    detail = cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
-    return LightPyramid(cells(pixels), detail, sun, as_array(environment.rotate_y / 360, jnp.float32))
+    return cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
 
 
 def cells(pixels: Float[Array | np.ndarray, "h w c"]) -> Cells:

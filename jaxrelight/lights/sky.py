@@ -15,7 +15,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.morton import morton
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.local import Directional, Light, power
-from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.arrays import as_array, is_traced
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
@@ -61,34 +61,66 @@ def sky_of(environment: Environment, samples: int = 256) -> Sky:
     """An environment as directions that carry equal shares of its light, the colour of each as it is there.
 
     The map's pixels are put in an order in which neighbours follow each other, and a direction is taken wherever
-    another share of the sum is reached: bright parts get many.
+    another share of the sum is reached: bright parts get many. Linear in the map and differentiable, the shares held
+    fixed.
 
     Raises:
         InputError: for samples below 1.
     """
     _check(samples)
-    pixels = np.asarray(coarsened(environment.pixels, 64), float) * environment.scale
-    h, w = pixels.shape[:2]
+    pixels = coarsened(environment.pixels, 64)
+    shares = _shares(jax.lax.stop_gradient(pixels), samples)
+    given = pixels, environment.rotate_y, environment.scale
+    if is_traced(given):
+        return _sky(*given, shares, samples)
+    # Cut down on the host: few maps fill all shares.
+    sky = _sky(*(as_array(np.asarray(one, np.result_type(pixels, np.float32))) for one in given), shares, samples)
+    used = np.flatnonzero(np.asarray(sky.irradiance).any(axis=1))
+    used = used if len(used) else np.zeros(1, int)
+    return Sky(as_array(np.asarray(sky.directions)[used]), as_array(np.asarray(sky.irradiance)[used]))
+
+
+def _shares(pixels, samples: int) -> Int[Array | np.ndarray, " p"]:
+    """Which of equal shares of the light every pixel of a map is in."""
+
+    def of_known(pixels) -> Int[np.ndarray, " p"]:
+        h, w = pixels.shape[:2]
+        v, u = (np.indices((h, w)).reshape(2, -1).T + 0.5).T / np.array([[h], [w]])
+        order = np.argsort(morton(np.stack([u, v], axis=1)), kind="stable")
+        light = (np.asarray(pixels, float) * latlong.solid_angles(h, w)[:, None, None]).reshape(-1, pixels.shape[2])
+        sums = np.cumsum(np.maximum(light.sum(axis=1), 0)[order])
+        share = np.zeros(len(order), np.int32)
+        if sums[-1] > 0:
+            share[order] = np.minimum((sums / sums[-1] * samples).astype(np.int32), samples - 1)
+        return share
+
+    if not is_traced(pixels):
+        return of_known(np.asarray(pixels))
+    shape = jax.ShapeDtypeStruct((pixels.shape[0] * pixels.shape[1],), np.int32)
+    return jax.pure_callback(of_known, shape, pixels, vmap_method="sequential")
+
+
+@functools.partial(jax.jit, static_argnames="samples")
+def _sky(pixels, rotate_y, scale, share, samples: int) -> Sky:
+    h, w, channels = pixels.shape
     v, u = (np.indices((h, w)).reshape(2, -1).T + 0.5).T / np.array([[h], [w]])
-    order = np.argsort(morton(np.stack([u, v], axis=1)), kind="stable")
-    light = (pixels * latlong.solid_angles(h, w)[:, None, None]).reshape(-1, 3)[order]
-    sums = np.cumsum(light.sum(axis=1))
-    if not sums[-1] > 0:
-        return Sky(as_array([[0.0, 1, 0]]), jnp.zeros((1, 3)))
-    share = np.minimum((sums / sums[-1] * samples).astype(int), samples - 1)
-    directions = latlong.directions(u[order] - environment.rotate_y / 360, v[order])
-    weight = light.sum(axis=1)
+    # The map turned one way is directions turned the same way.
+    towards = jnp.asarray(latlong.directions(u, v), pixels.dtype)
+    light = (pixels * jnp.asarray(latlong.solid_angles(h, w), pixels.dtype)[:, None, None]).reshape(-1, channels)
+    weighed = jax.lax.stop_gradient(towards * jnp.sum(light, axis=1, keepdims=True))
+    mean = jax.ops.segment_sum(weighed, share, samples)
+    length = jnp.linalg.norm(mean, axis=1, keepdims=True)
+    directions = jnp.where(length > 0, mean / jnp.where(length > 0, length, 1), jnp.asarray([0, 1, 0], pixels.dtype))
+    irradiance = jax.ops.segment_sum(light, share, samples) * scale
+    return Sky(turned(directions, rotate_y), irradiance)
 
-    def by_share(values):
-        return np.stack([np.bincount(share, column, samples) for column in values.T], axis=1)
 
-    mean = by_share(directions * weight[:, None])
-    length = np.linalg.norm(mean, axis=1)
-    used = length > 0
-    return Sky(
-        as_array((mean / np.where(used, length, 1)[:, None])[used], jnp.float32),
-        as_array(by_share(light)[used], jnp.float32),
-    )
+def turned(directions: Float[Array, "n 3"], degrees: Float[Array, ""] | float) -> Float[Array, "n 3"]:
+    """Directions turned about +y as an environment's `rotate_y` turns its map."""
+    angle = jnp.radians(degrees)
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    x, y, z = directions.T
+    return jnp.stack([cosine * x + sine * z, y, cosine * z - sine * x], axis=1)
 
 
 def nearest_directions(towards: Float[np.ndarray, "n 3"], height: int, width: int) -> Int[np.ndarray, "fh fw"]:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.lights.environment import coarsened
 from jaxrelight.lights.sky import Sky
-from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.arrays import as_array, is_traced
 
 # The most texels, how many times as bright they are as the next one after them, and what share of the light's energy
 # they hold together, at least. Of eight photographed skies and rooms, those with a sun are split at any rotation.
@@ -61,17 +61,69 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     return Split(texels.at[index].multiply(stays), index, texels[index] * (1 - stays))
 
 
-def without_sun(pixels: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "h w 3"], Sky]:
-    """A lat-long map without its sun, and that as directions; none where there is no sun.
+def without_sun(pixels: Float[Array | np.ndarray, "h w 3"]) -> tuple[Float[Array, "h w 3"], Sky]:
+    """A lat-long map without its sun, and the sun as directions; none of them carries light where there is no sun.
 
     It is looked for in ever coarser cube maps, as a fine map's sun has more than a few pixels: each cell that outshines
     all others gives what it has above them. A cell is one direction where it is smaller than a sun, and several beside
-    each other in coarse maps, for soft shadows.
+    each other in coarse maps, for soft shadows. Where pixels are known, directions without light are left out.
+
+    Linear in the pixels and differentiable, what is taken and from where held fixed.
 
     Args:
         pixels: radiance.
     """
-    looked = coarsened(pixels, _FINEST)
+    known = jax.lax.stop_gradient(pixels)
+    if not is_traced(known):
+        taken = _find_sun(np.asarray(known))
+        if taken is None:
+            return as_array(pixels), Sky(*(as_array(np.zeros((0, 3)), pixels.dtype) for _ in range(2)))
+        return _split(as_array(pixels), *map(as_array, taken.cut()))
+    h, w = pixels.shape[:2]
+    shapes = (h, w), (h, w), (_MOST_DIRECTIONS, 3), (_MOST_DIRECTIONS,), (_MOST_DIRECTIONS,)
+    dtypes = pixels.dtype, np.int32, pixels.dtype, np.int32, pixels.dtype
+    structure = tuple(jax.ShapeDtypeStruct(*one) for one in zip(shapes, dtypes, strict=True))
+
+    def find(pixels) -> _Taken:
+        taken = _find_sun(np.asarray(pixels)) or _Taken.nothing(h, w)
+        return _Taken(*(np.asarray(x, one.dtype) for x, one in zip(taken, structure, strict=True)))
+
+    return _split(pixels, *jax.pure_callback(find, structure, known, vmap_method="sequential"))
+
+
+class _Taken(NamedTuple):
+    """What is taken off a map.
+
+    Attributes:
+        stays: the share of each pixel's radiance that stays.
+        slot: of the sum that takes the rest of each pixel's energy; past their end for pixels that keep all.
+        directions: of the sun's light, unit vectors; padded.
+        source: the slot whose energy each direction carries a part of.
+        share: that part; 0 for padding.
+    """
+
+    stays: Float[np.ndarray, "h w"]
+    slot: Int[np.ndarray, "h w"]
+    directions: Float[np.ndarray, "n 3"]
+    source: Int[np.ndarray, " n"]
+    share: Float[np.ndarray, " n"]
+
+    @classmethod
+    def nothing(cls, h: int, w: int) -> "_Taken":
+        """Where there is no sun."""
+        n = _MOST_DIRECTIONS
+        directions = np.tile([0.0, 1, 0], (n, 1))
+        return cls(np.ones((h, w)), np.full((h, w), n), directions, np.zeros(n, int), np.zeros(n))
+
+    def cut(self) -> "_Taken":
+        """Without padding, and in single precision unless JAX is set for double."""
+        real = self.share > 0
+        return _Taken(self.stays, self.slot, self.directions[real], self.source[real], self.share[real])
+
+
+def _find_sun(pixels: Float[np.ndarray, "h w 3"]) -> _Taken | None:
+    """What `without_sun` takes; None where there is no sun."""
+    looked = np.asarray(coarsened(pixels, _FINEST))
     towards, area = _pixels_of(looked)
     flat = np.asarray(looked, float).reshape(-1, 3)
     rows = len(looked)
@@ -80,25 +132,72 @@ def without_sun(pixels: Float[np.ndarray, "h w 3"]) -> tuple[Float[np.ndarray, "
         cell = cubemap.texel_of(towards, n)
         whole = np.maximum(np.bincount(cell, area, 6 * n * n), 1e-30)
         mean = np.stack([np.bincount(cell, area * one, 6 * n * n) for one in flat.T], axis=1) / whole[:, None]
-        split = split_sun(as_array(mean, jnp.float32)) if len(mean) > MOST else None
-        if split is not None and bool(jnp.any(split.radiance > 0)):
-            return _taken(pixels, split, n)
+        split = _brightest(mean) if len(mean) > MOST else None
+        if split is not None:
+            return _taken(pixels, *split, n)
         n //= 2
-    return pixels, Sky(jnp.zeros((0, 3)), jnp.zeros((0, 3)))
+    return None
 
 
-def _taken(pixels, split: Split, n: int) -> tuple[Float[np.ndarray, "h w 3"], Sky]:
-    """A map without what its pixels in the bright cells of a cube map have above the others, and that."""
+def _brightest(texels: Float[np.ndarray, "d c"]) -> tuple[Int[np.ndarray, " n"], float] | None:
+    """`split_sun` on the host: the texels of a sun, and the length of the brightest one's radiance that is left."""
+    largest = np.abs(texels).max()
+    energy = np.square(texels / (largest if largest > 0 else 1)).sum(axis=1)
+    order = np.argsort(-energy, kind="stable")[: MOST + 1]
+    top, limit = energy[order[:-1]], energy[order[-1]]
+    bright = (top > BRIGHTER**2 * limit) & (top > 0)
+    if not bright.any() or top[bright].sum() < SHARE * energy.sum():
+        return None
+    return order[:-1][bright], float(np.sqrt(limit) * largest)
+
+
+def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most: float, n: int) -> _Taken:
+    """What a map's pixels in the bright cells of a cube map have above the brightest that is left."""
+    h, w = pixels.shape[:2]
     towards, area = _pixels_of(pixels)
     flat = np.asarray(pixels, float).reshape(-1, 3)
     cell, length = cubemap.texel_of(towards, n), np.linalg.norm(flat, axis=1)
-    lit = np.asarray(split.texels)[np.asarray(split.radiance).any(axis=1)]
-    # As bright as what is left of the brightest cell, at most.
-    most = np.linalg.norm(np.asarray(split.rest, float)[lit], axis=1).max()
     bright = np.isin(cell, lit) & (length > most)
-    rest = np.where(bright, most / np.where(bright, length, 1), 1)[:, None] * flat
-    h, w = pixels.shape[:2]
-    return rest.reshape(pixels.shape).astype(pixels.dtype), _directions(flat - rest, towards, area, cell, lit, (h, w))
+    stays = np.where(bright, most / np.where(bright, length, 1), 1)
+    taken = _Taken.nothing(h, w)
+    slot = np.full(len(flat), _MOST_DIRECTIONS)
+    if np.pi / h <= _APART or np.count_nonzero(bright) > _MOST_DIRECTIONS:
+        # Cells are smaller than a sun, or hold many pixels: one direction each.
+        energy = ((1 - stays) * area)[:, None] * flat
+        cells = [one for one in lit if bright[cell == one].any()]
+        for number, one in enumerate(cells):
+            mine = (cell == one) & bright
+            slot[mine] = number
+            mean = energy[mine].sum(axis=1) @ towards[mine]
+            taken.directions[number] = mean / np.linalg.norm(mean)
+            taken.source[number], taken.share[number] = number, 1
+        return taken._replace(stays=stays.reshape(h, w), slot=slot.reshape(h, w))
+    # Pixels are larger than a sun: several directions each, as far as there are enough.
+    here = np.flatnonzero(bright)
+    slot[here] = np.arange(len(here))
+    along = max(1, min(int(np.ceil(np.pi / h / _APART)), int(np.sqrt(_MOST_DIRECTIONS / max(len(here), 1)))))
+    u, v = latlong.coordinates(towards[here])
+    step = (np.arange(along) + 0.5) / along - 0.5
+    down, right = (x.ravel() for x in np.meshgrid(step, step, indexing="ij"))
+    v, u = v[:, None] + down / h, u[:, None] + right / w
+    # By solid angle, which differs along a pixel near the poles.
+    share = np.sin(np.pi * v)
+    share /= share.sum(axis=1, keepdims=True)
+    count = share.size
+    taken.directions[:count] = latlong.directions(u, v).reshape(-1, 3)
+    taken.source[:count], taken.share[:count] = np.repeat(np.arange(len(here)), along**2), share.ravel()
+    return taken._replace(stays=stays.reshape(h, w), slot=slot.reshape(h, w))
+
+
+@jax.jit
+def _split(pixels, stays, slot, directions, source, share) -> tuple[Float[Array, "h w 3"], Sky]:
+    h, w, channels = pixels.shape
+    area = jnp.asarray(latlong.solid_angles(h, w), pixels.dtype)[:, None, None]
+    energy = (pixels * (1 - stays)[..., None] * area).reshape(-1, channels)
+    sums = jax.ops.segment_sum(energy, slot.reshape(-1), _MOST_DIRECTIONS)
+    irradiance = sums.at[source].get(mode="promise_in_bounds") * share[:, None]
+    # A product, not a difference: exactly 0 is taken where all stays.
+    return pixels * stays[..., None].astype(pixels.dtype), Sky(directions.astype(pixels.dtype), irradiance)
 
 
 def _pixels_of(pixels) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
@@ -106,26 +205,3 @@ def _pixels_of(pixels) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"
     h, w = pixels.shape[:2]
     v, u = ((np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])).reshape(2, -1)
     return latlong.directions(u, v), np.repeat(latlong.solid_angles(h, w), w)
-
-
-def _directions(light, towards, area, cell, lit, shape: tuple[int, int]) -> Sky:
-    """Of each lit cell its mean direction; of each of its pixels several, where those are larger than a sun."""
-    pixel = np.pi / shape[0]
-    if pixel <= _APART:
-        energy = light * area[:, None]
-        irradiance = np.stack([energy[cell == one].sum(axis=0) for one in lit])
-        mean = np.stack([(energy.sum(axis=1) @ np.where((cell == one)[:, None], towards, 0)) for one in lit])
-        mean /= np.linalg.norm(mean, axis=1, keepdims=True)
-        return Sky(as_array(mean, jnp.float32), as_array(irradiance, jnp.float32))
-    here = np.flatnonzero(light.any(axis=1))
-    along = max(1, min(int(np.ceil(pixel / _APART)), int(np.sqrt(_MOST_DIRECTIONS / max(len(here), 1)))))
-    u, v = latlong.coordinates(towards[here])
-    step = (np.arange(along) + 0.5) / along - 0.5
-    down, right = (x.ravel() for x in np.meshgrid(step, step, indexing="ij"))
-    v, u = v[:, None] + down / shape[0], u[:, None] + right / shape[1]
-    # By solid angle, which differs along a pixel near the poles.
-    share = np.sin(np.pi * v)
-    share /= share.sum(axis=1, keepdims=True)
-    irradiance = (light[here] * area[here, None])[:, None] * share[..., None]
-    found = latlong.directions(u, v).reshape(-1, 3)
-    return Sky(as_array(found, jnp.float32), as_array(irradiance.reshape(-1, 3), jnp.float32))

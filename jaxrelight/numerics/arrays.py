@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Array
 
@@ -19,3 +20,13 @@ def as_array(values: ArrayLike | list | tuple, dtype: DTypeLike | None = None) -
     wanted = jax.dtypes.canonicalize_dtype(host.dtype if dtype is None else dtype)
     # What NumPy does not copy is not copied here either, as by `jnp.asarray`.
     return jnp.asarray(host.astype(wanted, copy=False), wanted)
+
+
+def is_traced(tree: object) -> bool:
+    """Whether any array of a pytree is traced, so that its numbers are not known."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def on_host(values: Array | np.ndarray) -> Array | np.ndarray:
+    """NumPy's array of numbers that are known, whose steps compile nothing; a traced one as it is."""
+    return values if isinstance(values, Tracer) else np.asarray(values)

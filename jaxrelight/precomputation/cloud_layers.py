@@ -15,7 +15,7 @@ from jaxrelight.gather.gather_cloud import PARTS, PIECES, GatherCloud, cloud_rec
 from jaxrelight.gather.importance import Importance
 from jaxrelight.gather.photon_gather import PhotonGather
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.groups import Report, timed
 from jaxrelight.precomputation.layer_files import made_once, write_lights, write_once
@@ -28,31 +28,31 @@ from jaxrelight.transport.compression import of_cloud
 
 
 def make_indirect(
-    scene: Scene, settings: Settings, folder: str | pathlib.Path | None, report: Report, seconds: dict[str, float]
+    scene: Scene, method: Indirect, folder: str | pathlib.Path | None, report: Report, seconds: dict[str, float]
 ) -> Made:
     """Makes, or completes, all layers of a scene's pixels and its cloud; see `precompute`.
 
     Args:
         scene: checked already.
-        settings: with gather samples.
+        method: its dials.
         folder: the store.
         report: as `precompute` takes it.
         seconds: to which those of each stage are added.
     """
     with timed(seconds, "geometry"):
-        here = place(scene, settings, folder)
-    folder, placed, surfaces, tracer = here.folder, here.placed, here.placed.surfaces, here.placed.tracer
+        here = place(scene, method, folder)
+    folder, geometry, surfaces, tracer = here.folder, here.geometry, here.geometry.surfaces, here.geometry.tracer
     with timed(seconds, "cloud"):
         albedo = SurfaceAlbedo(scene, surfaces)
-        worth_key = here.receivers_key(albedo.key) if settings.importance else None
-        made_by = settings.gather_samples, settings.seed, worth_key, settings.sky, PIECES, PARTS, "spectrum"
+        worth_key = here.receivers_key(albedo.key) if method.importance else None
+        made_by = method.gather_samples, method.seed, worth_key, method.sky, PIECES, PARTS, "spectrum"
         cloud_key = store.key_of(here.key, *made_by)
 
         def make_cloud() -> dict[str, np.ndarray]:
-            assert placed.seen is not None
-            worth = Importance(surfaces, tracer, placed.seen, albedo, seed=settings.seed) if worth_key else None
-            points = gather_cloud(surfaces, settings.gather_samples, worth, settings.seed, sky=settings.sky)
-            spectrum = cloud_spectrum(points, surfaces, tracer, settings.seed)
+            assert geometry.visible is not None
+            worth = Importance(surfaces, tracer, geometry.visible, albedo, seed=method.seed) if worth_key else None
+            points = gather_cloud(surfaces, method.gather_samples, worth, method.seed, sky=method.sky)
+            spectrum = cloud_spectrum(points, surfaces, tracer, method.seed)
             return {**{field.name: getattr(points, field.name) for field in fields}, "spectrum": spectrum}
 
         fields = dataclasses.fields(GatherCloud)
@@ -64,18 +64,18 @@ def make_indirect(
         emitted[solid] = albedo.emission[surfaces.mesh_of_vertex[surfaces.faces[cloud.faces[solid], 0]]]
         albedo_key = store.key_of(cloud_key, reflected, emitted)
         write_once(folder / f"albedo-{albedo_key}", {"albedo": reflected, "emission": emitted})
-        kept = of_cloud(settings, arrays["spectrum"])
+        kept = of_cloud(method, arrays["spectrum"])
 
-    gather = FinalGather(cloud, tracer, settings.solid_angle, settings.near, settings.peak)
-    dials = kept.dial, settings.solid_angle, settings.near, GROUP
+    gather = FinalGather(cloud, tracer, method.solid_angle, method.near, method.peak)
+    dials = kept.dial, method.solid_angle, method.near, GROUP
     between, others = None, gather
-    if settings.bounces > 1 or settings.sky:
+    if method.bounces > 1 or method.sky:
         way = dials
         with timed(seconds, "between"):
-            if settings.photons:
-                each = max(1, round(settings.photons / settings.gather_samples))
-                way = kept.dial, each, settings.bounces, settings.seed, albedo.key, GROUP
-                others = PhotonGather(cloud, surfaces, tracer, albedo, each, settings.bounces - 1, settings.seed)
+            if method.photons:
+                each = max(1, round(method.photons / method.gather_samples))
+                way = kept.dial, each, method.bounces, method.seed, albedo.key, GROUP
+                others = PhotonGather(cloud, surfaces, tracer, albedo, each, method.bounces - 1, method.seed)
             between = f"between-{store.key_of(cloud_key, *way)}"
             points = cloud_receivers(cloud)
             up = as_array(np.broadcast_to([0.0, 0, 1], (*points.positions.shape[:2], 3)), np.float32)
@@ -88,14 +88,14 @@ def make_indirect(
         for material in here.materials(grey=True):
             # In their peaks points are told apart, for all parts of the material.
             glossy = [key for reflection, _, key in material.parts if not reflection.is_constant]
-            told_apart = [settings.peak, *glossy] if glossy else []
+            told_apart = [method.peak, *glossy] if glossy else []
             for _, record, key in material.parts:
                 record["indirect"] = f"indirect-{store.key_of(pixels_key, key, *told_apart)}"
-            rows = MaterialRows(folder, placed.receivers, material.groups, [part[:2] for part in material.parts])
+            rows = MaterialRows(folder, here.receivers, material.groups, [part[:2] for part in material.parts])
             rows.gathered("indirect", kept, gather, functools.partial(report, f"pixels of {material.name}"))
             materials += [record for _, record, _ in material.parts]
 
     layers = {"cloud": f"cloud-{cloud_key}", "albedo": f"albedo-{albedo_key}", "between": between}
-    header = here.header(materials, write_lights(folder, scene.lights), **layers)
+    header = here.header(materials, write_lights(folder, scene.lights.local), **layers)
     rays = gather.rays + (others.rays if others is not gather else 0)
-    return Made(folder, header, placed, rays, ())
+    return Made(folder, header, geometry, rays, ())

@@ -21,7 +21,7 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Light
 from jaxrelight.lights.record import to_records
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.load import read_factors, read_spatial_factors
 
 
@@ -86,8 +86,13 @@ def write_environment(folder: pathlib.Path, environment: Environment | None) -> 
     """The scene's own light: its layer, and how it is placed."""
     if environment is None:
         return None
-    layer = write_once(folder / f"environment-{store.key_of(environment.pixels)}", {"pixels": environment.pixels})
-    return {"pixels": layer.folder.name, "rotate_y": environment.rotate_y, "scale": environment.scale}
+    pixels = np.asarray(environment.pixels)
+    layer = write_once(folder / f"environment-{store.key_of(pixels)}", {"pixels": pixels})
+    return {
+        "pixels": layer.folder.name,
+        "rotate_y": float(environment.rotate_y),
+        "scale": float(environment.scale),
+    }
 
 
 def write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
@@ -104,15 +109,16 @@ def write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 
 
 def factors_of(
-    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, settings: Settings
+    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, method: Transport | Indirect
 ) -> tuple[Factored | SpatialFactors | None, str | None, Left | None]:
     """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
 
-    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the settings say.
+    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the method say.
     """
-    if settings.receivers == "pixels" and not brdf.is_constant:
+    if method.receivers == "pixels" and not brdf.is_constant:
         return None, None, None
-    dials = () if isinstance(brdf, Separable) else (terms, settings.factor_resolution, *COSINE)
+    resolution = method.factor_resolution if isinstance(method, Transport) else Transport.factor_resolution
+    dials = () if isinstance(brdf, Separable) else (terms, resolution, *COSINE)
     key = store.key_of(described, *dials)
     path = folder / f"factors-{key}"
     spatial = isinstance(brdf, SpatialLobes)
@@ -123,12 +129,12 @@ def factors_of(
         return read_factors(layer), path.name, None
     # Missing or damaged.
     if spatial:
-        made, left = factor_spatial(brdf, terms, settings.factor_resolution)
+        made, left = factor_spatial(brdf, terms, resolution)
         arrays = {"light_maps": made.light_maps, "view_maps": made.view_maps, "weights": made.weights.pixels}
         numbers = {"left": np.array(dataclasses.astuple(left))}
         write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
         return made, path.name, left
-    factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, settings.factor_resolution)
+    factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, resolution)
     write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
     return factors, path.name, None
 

@@ -14,14 +14,15 @@ from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Transport
 from jaxrelight.precomputation.groups import Report, complete, timed
-from jaxrelight.precomputation.load import Placed
+from jaxrelight.precomputation.layer_files import write_lights
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.placing import place
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.bounce import Gather
 from jaxrelight.transport.compression import compression, shared
+from jaxrelight.transport.model import SceneGeometry
 from jaxrelight.transport.visibility import trace_visibility
 
 
@@ -32,21 +33,21 @@ class Made:
     Attributes:
         folder: the store.
         header: names the layers, as `load` takes it.
-        placed: the geometry, for `load`.
+        geometry: of the scene, for `load`.
         rays: traced in this run.
-        notes: what the settings cost that one might not expect, one line each.
+        notes: what the method cost that one might not expect, one line each.
     """
 
     folder: pathlib.Path
     header: dict
-    placed: Placed
+    geometry: SceneGeometry
     rays: int
     notes: tuple[str, ...]
 
 
 def make_layers(
     scene: Scene,
-    settings: Settings,
+    method: Transport,
     folder: str | pathlib.Path | None,
     report: Report,
     seconds: dict[str, float],
@@ -56,17 +57,17 @@ def make_layers(
 
     Args:
         scene: checked already.
-        settings: the dials.
+        method: the dials.
         folder: the store.
         report: as `precompute` takes it.
         seconds: to which those of each stage are added.
         gather: gathers bounced light, which is added to direct light.
     """
     with timed(seconds, "geometry"):
-        here = place(scene, settings, folder)
-    folder, receivers, tracer = here.folder, here.placed.receivers, here.placed.tracer
-    visibility_key = here.receivers_key(settings.resolution, settings.visibility_samples, GROUP)
-    directions = cubemap.directions(settings.resolution * settings.samples_per_side)
+        here = place(scene, method, folder)
+    folder, receivers, tracer = here.folder, here.receivers, here.geometry.tracer
+    visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP)
+    directions = cubemap.directions(method.resolution * method.samples_per_side)
     with timed(seconds, "visibility"):
         visibility = store.make_layer(
             folder / f"visibility-{visibility_key}",
@@ -76,40 +77,40 @@ def make_layers(
         rays = _trace_groups(visibility, receivers, tracer, directions, report)
 
     materials, notes = [], []
-    stage = f"bounce {settings.bounces}" if gather else "transport"
+    stage = f"bounce {method.bounces}" if gather else "transport"
     with timed(seconds, stage):
-        for material in here.materials(grey=settings.receivers == "vertices"):
+        for material in here.materials(grey=method.receivers == "vertices"):
             for _, record, key in material.parts:
-                if settings.coefficients != "all":
-                    direct = store.key_of(visibility_key, key, compression(settings).dial)
+                if method.coefficients != "all":
+                    direct = store.key_of(visibility_key, key, compression(method).dial)
                     record["transport"] = f"transport-{direct}"
                 if gather:
-                    bounced = store.key_of(visibility_key, key, shared(settings).dial, gather.key)
+                    bounced = store.key_of(visibility_key, key, shared(method).dial, gather.key)
                     record["bounced"] = f"bounced-{bounced}"
             rows = MaterialRows(folder, receivers, material.groups, [part[:2] for part in material.parts])
-            if settings.coefficients != "all":
-                rows.direct(settings, visibility, functools.partial(report, f"transport of {material.name}"))
+            if method.coefficients != "all":
+                rows.direct(method, visibility, functools.partial(report, f"transport of {material.name}"))
             if gather:
                 told = functools.partial(report, f"{stage} on {material.name}")
-                rows.gathered("bounced", shared(settings), gather, told)
+                rows.gathered("bounced", shared(method), gather, told)
             materials += [record for _, record, _ in material.parts]
             notes += material.notes
 
-    if any(here.placed.normal_maps) and settings.receivers == "vertices":
+    if any(here.geometry.normal_maps) and method.receivers == "vertices":
         notes.append(
             "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
         )
-    header = here.header(materials, visibility=visibility.folder.name)
-    return Made(folder, header, here.placed, rays, tuple(notes))
+    header = here.header(materials, write_lights(folder, scene.lights.local), visibility=visibility.folder.name)
+    return Made(folder, header, here.geometry, rays, tuple(notes))
 
 
-def check_terms_of(scene: Scene, name: str, settings: Settings):
+def check_terms_of(scene: Scene, name: str, method: Transport):
     """Refuses a number of factors that cannot be had, before any ray."""
     brdfs = [part.brdf for part in as_material(scene.materials[name]).components]
     factored = any(not brdf.is_constant and not isinstance(brdf, Separable) for brdf in brdfs)
-    if factored and settings.receivers == "vertices":
+    if factored and method.receivers == "vertices":
         try:
-            check_terms(scene.terms.get(name, settings.terms), settings.factor_resolution)
+            check_terms(scene.terms.get(name, method.terms), method.factor_resolution)
         except InputError as error:
             raise InputError(f"{scene.name}: material '{name}': {error}") from None
 

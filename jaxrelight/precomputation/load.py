@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import pathlib
 
 import jax
@@ -25,43 +26,33 @@ from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.local import Light
 from jaxrelight.lights.record import from_records
-from jaxrelight.methods import Settings
+from jaxrelight.methods import METHODS, Indirect, Transport
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.algebra import InBasis, Summed
-from jaxrelight.operators.contract import Basis
-from jaxrelight.operators.stacked import Stacked
-from jaxrelight.transport.compression import compression, of_cloud, shared
-from jaxrelight.transport.model import Block, Transport, fixed_view, streamed
+from jaxrelight.operators.contract import Basis, Operator
+from jaxrelight.transport.compression import Opened, compression, of_cloud, shared
+from jaxrelight.transport.model import (
+    Block,
+    PrecomputedIndirect,
+    PrecomputedTransport,
+    SceneGeometry,
+    StoredScene,
+    fixed_view,
+    streamed,
+)
 
 
-@dataclasses.dataclass(frozen=True)
-class Placed:
-    """The geometry of a scene, ready for rays, and its receivers.
-
-    Attributes:
-        surfaces: all meshes.
-        normal_maps: theirs.
-        tracer: rays against them.
-        receivers: the points of the operator's rows.
-        seen: what the scene's camera sees, where receivers are its pixels.
-    """
-
-    surfaces: Surfaces
-    normal_maps: NormalMaps
-    tracer: Tracer
-    receivers: Receivers
-    seen: GBuffer | None
-
-
-def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed | None = None) -> Transport:
+def load(
+    folder: str | pathlib.Path, header: dict | None = None, geometry: SceneGeometry | None = None
+) -> PrecomputedTransport | PrecomputedIndirect:
     """Opens a store; nothing is written.
 
     Args:
         folder: the store.
         header: of the scene that is wanted, as `precompute` gives it; by default of the last one precomputed.
-        placed: its geometry, as `precompute` gives it; by default read from the store.
+        geometry: of the scene, as `precompute` gives it; by default read from the store.
 
     Raises:
         InputError: if it is not complete, damaged, or of another format.
@@ -69,7 +60,7 @@ def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed 
     folder = pathlib.Path(folder)
     header = header or store.read_header(folder)
     try:
-        return _load(folder, header, placed)
+        return _load(folder, header, geometry)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(
             f"{folder / 'store.json'}: damaged ({type(error).__name__}: {error}); "
@@ -77,99 +68,144 @@ def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed 
         ) from None
 
 
-def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transport:
+def _load(
+    folder: pathlib.Path, header: dict, geometry: SceneGeometry | None
+) -> PrecomputedTransport | PrecomputedIndirect:
     store.layers_of(header)  # refuses names of anything else before any is opened
-    settings = Settings(**header["settings"])
+    method = METHODS[header["method"]["name"]](**header["method"]["dials"])
+    assert isinstance(method, Transport | Indirect)
     camera = Camera(**header["camera"])
-    placed = placed or _placed(folder, header, camera, settings)
-    surfaces, receivers = placed.surfaces, placed.receivers
-    cloud = _read_cloud(folder, header, settings) if settings.gather_samples else None
-    visibility = None if cloud else _whole_layer(folder / header["visibility"])
+    geometry = geometry or _geometry(folder, header, camera, method)
+    receivers = geometry.receivers
+    assert receivers is not None
+    visibility = None if isinstance(method, Indirect) else _whole_layer(folder / header["visibility"])
     if visibility and len(receivers.filled) != visibility.groups:
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
         raise ValueError("materials and meshes do not belong together")
-    blocks, operators, total = [], [], 0.0
-    for record in header["materials"]:
-        brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
-        groups = receivers.groups_of(record["number"])
-        if record["factors"]:
-            read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors
-            reflection = read(store.open_layer(folder / record["factors"]))
-        else:
-            reflection = fixed_view(brdf, receivers, groups)
-        dropped, emitted = None, None
-        if cloud:
-            layer = _layer_of(folder / record["indirect"], groups)
-            direct = of_cloud(settings, np.ones(settings.gather_samples)).open(layer)
-            operator, dropped = direct.operator, direct.dropped
-            total += float(direct.total.sum(dtype=float)) * 3 / dropped.shape[1]
-        elif settings.coefficients == "all":
+    blocks, energies = zip(
+        *(_block(folder, record, method, receivers, visibility) for record in header["materials"]), strict=True
+    )
+    left, total = (sum(energy) for energy in zip(*energies, strict=True))
+    environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
+    layer, points = environment["pixels"], None
+    if isinstance(method, Indirect):
+        points = _read_points(_whole_layer(folder / header["cloud"]))
+    seen = {record["number"]: record["name"] for record in header["materials"]}
+    stored = StoredScene(
+        key=store.key_of(str(folder), json.dumps(header, sort_keys=True)),
+        folder=folder,
+        geometry=_for_views(geometry, method, tuple(seen.get(number) for number in header["material_of_mesh"])),
+        camera=camera,
+        visibility=visibility,
+        environment=store.open_layer(folder / layer) if layer else None,
+        rotate_y=environment["rotate_y"],
+        scale=environment["scale"],
+        local=_read_lights(folder, header.get("lights")),
+        cloud=points,
+    )
+    kept = 1 - left / total if total else 1.0
+    transport = PrecomputedTransport(tuple(blocks), _basis(method), method, stored, kept)
+    if points is None:
+        return transport
+    return PrecomputedIndirect(transport, _read_cloud(folder, header, points, method))
+
+
+def _for_views(
+    geometry: SceneGeometry, method: Transport | Indirect, materials: tuple[str | None, ...]
+) -> SceneGeometry:
+    """Where receivers are vertices, normal maps are bent into their normals once for all views."""
+    if method.receivers == "pixels":
+        return dataclasses.replace(geometry, material_of_mesh=materials)
+    surfaces = at_vertices(geometry.surfaces, geometry.normal_maps)
+    return dataclasses.replace(geometry, surfaces=surfaces, normal_maps=(), material_of_mesh=materials)
+
+
+def _block(
+    folder: pathlib.Path,
+    record: dict,
+    method: Transport | Indirect,
+    receivers: Receivers,
+    visibility: store.Layer | None,
+) -> tuple[Block, tuple[float, float]]:
+    """One BRDF of one material, and of its rows the energy that is left out and the total."""
+    brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
+    groups = receivers.groups_of(record["number"])
+    if record["factors"]:
+        read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors
+        reflection = read(store.open_layer(folder / record["factors"]))
+    else:
+        reflection = jax.tree.map(as_array, fixed_view(brdf, receivers, groups))
+    opened: list[Opened] = []
+    emitted = None
+    if isinstance(method, Indirect):
+        kept = of_cloud(method, np.ones(method.gather_samples))
+        opened.append(kept.open(_layer_of(folder / record["indirect"], groups)))
+    elif method.coefficients != "all":
+        opened.append(compression(method).open(_layer_of(folder / record["transport"], groups)))
+    operators: list[Operator] = [one.operator for one in opened]
+    if isinstance(method, Transport):
+        if method.coefficients == "all":
             assert visibility is not None
-            operator = streamed(settings, visibility, receivers, groups, reflection)
-        else:
-            direct = compression(settings).open(_layer_of(folder / record["transport"], groups))
-            operator, dropped = direct.operator, direct.dropped
-            total += float(direct.total.sum(dtype=float)) * 3 / dropped.shape[1]
-        if settings.bounces and not cloud:
+            operators.append(streamed(method, visibility, receivers, groups, reflection))
+        if method.bounces:
             layer = _layer_of(folder / record["bounced"], groups)
-            bounced = shared(settings).open(layer)
-            if dropped is None:
-                operator = Summed((operator, InBasis(bounced.operator, HaarFaces(settings.resolution))))
+            bounced = shared(method).open(layer)
+            if method.coefficients == "all":
+                operators.append(InBasis(bounced.operator, HaarFaces(method.resolution)))
             else:
-                operator = Summed((operator, bounced.operator))
-                # What a row leaves out is a sum of two: no longer than both.
-                dropped = np.square(np.sqrt(dropped) + np.sqrt(bounced.dropped))
-                total += float(bounced.total.sum(dtype=float)) * 3 / bounced.total.shape[1]
+                opened.append(bounced)
+                operators.append(bounced.operator)
             if "emitted" in layer.arrays:
                 emitted = layer.read("emitted")
                 emitted = emitted.reshape(-1, *emitted.shape[2:])
-        operators.append(operator)
-        weight = tuple(read_texture(folder, entry) for entry in record["weight"])
-        emission = np.asarray(record["emission"], np.float32) if record.get("emission") else None
-        blocks.append(Block(record["name"], brdf, weight, reflection, groups, dropped, emission, emitted))
-    dropped = [block.dropped for block in blocks if block.dropped is not None]
-    left = sum(float(part.sum(dtype=float)) * 3 / part.shape[1] for part in dropped)
-    names = {record["number"]: record["name"] for record in header["materials"]}
-    environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
-    return Transport(
-        settings=settings,
-        surfaces=at_vertices(surfaces, placed.normal_maps) if settings.receivers == "vertices" else surfaces,
-        normal_maps=() if settings.receivers == "vertices" else placed.normal_maps,
-        tracer=placed.tracer,
-        seen=placed.seen,
-        receivers=receivers,
-        blocks=tuple(blocks),
-        operator=Stacked(tuple(operators)),
-        basis=_basis(settings),
-        kept=1 - left / total if total else 1.0,
-        camera=camera,
-        environment=store.open_layer(folder / environment["pixels"]) if environment["pixels"] else None,
-        rotate_y=environment["rotate_y"],
-        scale=environment["scale"],
-        folder=folder,
-        visibility=visibility,
-        cloud=cloud,
-        lights=_read_lights(folder, header.get("lights")),
-        material_of_mesh=tuple(names.get(number) for number in header["material_of_mesh"]),
+    dropped = None
+    if opened:
+        # What a row leaves out is a sum of two: no longer than both.
+        dropped = np.square(sum(np.sqrt(one.dropped) for one in opened))
+    weight = tuple(read_texture(folder, entry) for entry in record["weight"])
+    emission = record.get("emission")
+    block = Block(
+        material=record["name"],
+        brdf=brdf,
+        weight=weight,
+        reflection=reflection,
+        operator=operators[0] if len(operators) == 1 else Summed(tuple(operators)),
+        first_group=int(groups[0]),
+        group_count=len(groups),
+        dropped=None if dropped is None else as_array(dropped, np.float32),
+        emission=as_array(emission, np.float32) if emission else None,
+        emitted=None if emitted is None else as_array(emitted),
     )
+    left = 0.0 if dropped is None else _energy(dropped)
+    return block, (left, sum(_energy(one.total) for one in opened))
 
 
-def _basis(settings: Settings) -> Basis:
+def _energy(of_rows: Float[np.ndarray, "r c"]) -> float:
+    """Of all rows; rows that are the same in all channels count three times."""
+    return float(of_rows.sum(dtype=float)) * 3 / of_rows.shape[1]
+
+
+def _basis(method: Transport | Indirect) -> Basis:
     """That of light."""
-    if settings.gather_samples:
-        return HaarFaces(round(settings.gather_samples**0.5), 1)
-    return cubemap.Texels(settings.resolution) if settings.coefficients == "all" else HaarFaces(settings.resolution)
+    if isinstance(method, Indirect):
+        return HaarFaces(round(method.gather_samples**0.5), 1)
+    return cubemap.Texels(method.resolution) if method.coefficients == "all" else HaarFaces(method.resolution)
 
 
-def _read_cloud(folder: pathlib.Path, header: dict, settings: Settings) -> LitCloud:
-    layer, reflected = _whole_layer(folder / header["cloud"]), _whole_layer(folder / header["albedo"])
-    points = GatherCloud(*(layer.read(field.name, 0) for field in dataclasses.fields(GatherCloud)))
+def _read_points(layer: store.Layer) -> GatherCloud:
+    return GatherCloud(*(layer.read(field.name, 0) for field in dataclasses.fields(GatherCloud)))
+
+
+def _read_cloud(folder: pathlib.Path, header: dict, points: GatherCloud, method: Indirect) -> LitCloud:
+    reflected = _whole_layer(folder / header["albedo"])
     between, receivers = None, cloud_receivers(points)
     if header["between"]:
         rows = _layer_of(folder / header["between"], np.arange(len(receivers.filled)))
-        between = of_cloud(settings, np.ones(settings.gather_samples)).open(rows).operator
-    return LitCloud(points, reflected.read("albedo", 0), reflected.read("emission", 0), between, receivers.slot_of)
+        between = of_cloud(method, np.ones(method.gather_samples)).open(rows).operator
+    albedo, emission = (as_array(reflected.read(name, 0)) for name in ("albedo", "emission"))
+    slot_of = as_array(receivers.slot_of)
+    return LitCloud(albedo, emission, as_array(points.of_sky), between, slot_of)
 
 
 def _read_lights(folder: pathlib.Path, entry: dict | None) -> tuple[Light, ...]:
@@ -179,15 +215,15 @@ def _read_lights(folder: pathlib.Path, entry: dict | None) -> tuple[Light, ...]:
     return from_records(entry["each"], lambda name: layer.read(name, 0))
 
 
-def _placed(folder: pathlib.Path, header: dict, camera: Camera, settings: Settings) -> Placed:
+def _geometry(folder: pathlib.Path, header: dict, camera: Camera, method: Transport | Indirect) -> SceneGeometry:
     surfaces = _read_geometry(_whole_layer(folder / header["geometry"]))
     tracer = Tracer(surfaces)
     entries = {record["number"]: record["normal_map"] for record in header["materials"]}
     maps = {number: read_texture(folder, entry) for number, entry in entries.items() if entry is not None}
     normal_maps = tuple(maps.get(number) for number in header["material_of_mesh"])
     material_of_mesh = np.array(header["material_of_mesh"])
-    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, settings)
-    return Placed(surfaces, normal_maps, tracer, receivers, seen)
+    receivers, visible = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, method)
+    return SceneGeometry(surfaces, tracer, normal_maps, (), receivers, visible)
 
 
 def _layer_of(folder: pathlib.Path, groups: Int[np.ndarray, " g"]) -> store.Layer:
@@ -207,13 +243,6 @@ def _whole_layer(folder: pathlib.Path) -> store.Layer:
     return layer
 
 
-def stored_environment(transport: Transport) -> Environment | None:
-    """The environment of the scene that the store was made from."""
-    if transport.environment is None:
-        return None
-    return Environment(transport.environment.read("pixels", 0), transport.rotate_y, transport.scale)
-
-
 def _read_geometry(layer: store.Layer) -> Surfaces:
     placement = layer.read("placement", 0)
     return Surfaces(
@@ -230,13 +259,13 @@ def receivers_of(
     material_of_mesh: np.ndarray,
     normal_maps: NormalMaps,
     camera: Camera,
-    settings: Settings,
+    method: Transport | Indirect,
 ) -> tuple[Receivers, GBuffer | None]:
-    """The receivers that the settings ask for, and what is seen where they are pixels.
+    """The receivers that the method asks for, and what is seen where they are pixels.
 
     They follow from the geometry, so that no store need hold them.
     """
-    if settings.receivers == "vertices":
+    if method.receivers == "vertices":
         return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh), None
     seen = see(surfaces, tracer, camera, normal_maps)
     return pixel_receivers(seen, material_of_mesh), seen

@@ -13,7 +13,7 @@ from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.files import store
 from jaxrelight.gather.gathered import Gathered
 from jaxrelight.geometry.receivers import GROUP, Receivers
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.groups import complete
 from jaxrelight.transport import bake
@@ -61,10 +61,10 @@ class MaterialRows:
     groups: np.ndarray
     each: list[tuple[Reflection, dict]]
 
-    def direct(self, settings: Settings, visibility: store.Layer, report: Callable[[int, int], None]):
+    def direct(self, method: Transport, visibility: store.Layer, report: Callable[[int, int], None]):
         """Completes the layers of direct light, from the visibility of all receivers."""
-        kept, basis = compression(settings), HaarFaces(settings.resolution)
-        directions = bake.directions_for(settings.resolution, settings.samples_per_side)
+        kept, basis = compression(method), HaarFaces(method.resolution)
+        directions = bake.directions_for(method.resolution, method.samples_per_side)
         layers = self._layers("transport", [kept.layout(one.terms, one.channels) for one, _ in self.each])
 
         def make(i: int, frames, lacking: list[int]):

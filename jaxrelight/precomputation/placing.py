@@ -17,8 +17,9 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import without_diffuse
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
+from jaxrelight.geometry.receivers import Receivers
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.layer_files import (
     factors_of,
     make_folder,
@@ -28,9 +29,9 @@ from jaxrelight.precomputation.layer_files import (
     write_table,
     write_texture,
 )
-from jaxrelight.precomputation.load import Placed, receivers_of
+from jaxrelight.precomputation.load import receivers_of
 from jaxrelight.scene.scene import Scene
-from jaxrelight.transport.model import fixed_view
+from jaxrelight.transport.model import SceneGeometry, fixed_view
 
 
 class Reflected(NamedTuple):
@@ -69,28 +70,34 @@ class PlacedScene:
 
     Attributes:
         scene: it.
-        settings: the dials.
+        method: the dials.
         folder: the store.
-        placed: the geometry and the receivers.
+        geometry: of the scene, with its receivers.
         names: of the materials, ascending.
         material_of_mesh: their numbers.
-        geometry: the layer.
+        layer: of that geometry.
         key: of all that rays depend on.
     """
 
     scene: Scene
-    settings: Settings
+    method: Transport | Indirect
     folder: pathlib.Path
-    placed: Placed
+    geometry: SceneGeometry
     names: list[str]
     material_of_mesh: Int[np.ndarray, " m"]
-    geometry: store.Layer
+    layer: store.Layer
     key: str
+
+    @property
+    def receivers(self) -> Receivers:
+        """The points of the operators' rows."""
+        assert self.geometry.receivers is not None
+        return self.geometry.receivers
 
     def receivers_key(self, *dials) -> str:
         """Of the receivers, and of dials."""
-        scene, seen, bumps = self.scene, self.placed.seen, self.placed.normal_maps
-        camera = plain(dataclasses.astuple(scene.camera)) if self.settings.receivers == "pixels" else None
+        scene, seen, bumps = self.scene, self.geometry.visible, self.geometry.normal_maps
+        camera = plain(dataclasses.astuple(scene.camera)) if self.method.receivers == "pixels" else None
         bent = None
         if any(bumps):
             pixels = (np.asarray(one.pixels) if one else None for one in bumps)
@@ -100,27 +107,27 @@ class PlacedScene:
     @property
     def _whole_key(self) -> str:
         """Of the geometry with its texture coordinates."""
-        return self.geometry.folder.name.partition("-")[2]
+        return self.layer.folder.name.partition("-")[2]
 
     def materials(self, grey: bool) -> Iterator[PlacedMaterial]:
         """Those that receivers have; their lobes in grey parts where that is asked for."""
-        surfaces, receivers, seen = self.placed.surfaces, self.placed.receivers, self.placed.seen
+        surfaces, receivers, seen = self.geometry.surfaces, self.receivers, self.geometry.visible
         frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
         for number, name in enumerate(self.names):
             groups = receivers.groups_of(number)
             if not len(groups):
                 continue
             material = as_material(self.scene.materials[name])
-            if self.settings.receivers == "vertices":
+            if self.method.receivers == "vertices":
                 material = without_diffuse(material)
-            material = in_grey(material, diffuse=self.settings.receivers == "pixels") if grey else material
+            material = in_grey(material, diffuse=self.method.receivers == "pixels") if grey else material
             bump = write_texture(self.folder, material.normal_map) if material.normal_map else None
             parts, notes = [], []
             for component in material.components:
                 brdf = component.brdf
                 described = to_record(brdf, functools.partial(write_table, self.folder))
-                terms = self.scene.terms.get(name, self.settings.terms)
-                reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.settings)
+                terms = self.scene.terms.get(name, self.method.terms) if isinstance(self.method, Transport) else 1
+                reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.method)
                 if left and reflection:
                     notes.append(
                         f"{name}: the shapes that stand for the lobes of all texels are {left.shapes:.1%} off, and "
@@ -144,18 +151,18 @@ class PlacedScene:
         return {
             "jaxrelight": importlib.metadata.version("jaxrelight"),
             "scene": scene.name,
-            "settings": dataclasses.asdict(self.settings),
-            "geometry": self.geometry.folder.name,
+            "method": {"name": self.method.name, "dials": dataclasses.asdict(self.method)},
+            "geometry": self.layer.folder.name,
             **layers,
             "material_of_mesh": self.material_of_mesh.tolist(),
             "materials": materials,
             "camera": plain(dataclasses.asdict(scene.camera)),
-            "environment": write_environment(self.folder, scene.environment),
+            "environment": write_environment(self.folder, scene.lights.environment),
             "lights": lights,
         }
 
 
-def place(scene: Scene, settings: Settings, folder: str | pathlib.Path | None) -> PlacedScene:
+def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path | None) -> PlacedScene:
     """Puts a scene's geometry into a store, and finds its receivers.
 
     Raises:
@@ -169,12 +176,12 @@ def place(scene: Scene, settings: Settings, folder: str | pathlib.Path | None) -
     folder = pathlib.Path(folder or store.default_folder(key))
     tracer = Tracer(surfaces)
     bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
-    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, settings)
+    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, method)
     if not receivers.count:
         raise InputError(f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices")
     make_folder(folder)
     # No ray depends on texture coordinates.
     whole_key = store.key_of(key, surfaces.uv, surfaces.uv_tangents)
-    geometry = write_geometry(folder / f"geometry-{whole_key}", surfaces)
-    placed = Placed(surfaces, tuple(bumps), tracer, receivers, seen)
-    return PlacedScene(scene, settings, folder, placed, names, material_of_mesh, geometry, key)
+    layer = write_geometry(folder / f"geometry-{whole_key}", surfaces)
+    geometry = SceneGeometry(surfaces, tracer, tuple(bumps), (), receivers, seen)
+    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key)

@@ -9,16 +9,17 @@ from jaxrelight.brdf.albedo import largest_albedo
 from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.cloud_layers import make_indirect
 from jaxrelight.precomputation.layers import Made, Report, check_terms_of, make_layers
-from jaxrelight.precomputation.load import Placed, load
+from jaxrelight.precomputation.load import load
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.bounce import Gather, remaining
+from jaxrelight.transport.model import PrecomputedTransport, SceneGeometry
 
 
 @dataclasses.dataclass(frozen=True)
-class Summary:
+class StoreBuild:
     """What a precomputation did.
 
     Attributes:
@@ -28,8 +29,8 @@ class Summary:
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
         header: what the store's header says of this scene; another process may write another one meanwhile.
-        placed: the geometry, for `load`.
-        notes: what the settings cost that one might not expect, one line each.
+        geometry: of the scene, for `load`.
+        notes: what the dials cost that one might not expect, one line each.
     """
 
     folder: pathlib.Path
@@ -38,16 +39,16 @@ class Summary:
     receivers: int
     nbytes: dict[str, int]
     header: dict
-    placed: Placed
+    geometry: SceneGeometry
     notes: tuple[str, ...] = ()
 
 
 def precompute(
     scene: Scene,
-    settings: Settings = Settings(),
+    method: Transport | Indirect,
     folder: str | pathlib.Path | None = None,
     report: Report = lambda stage, done, total: None,
-) -> Summary:
+) -> StoreBuild:
     """Makes, or completes, the store of a scene.
 
     Layers that exist are reused: a changed material bakes its own groups again, from stored visibility; only a changed
@@ -58,7 +59,7 @@ def precompute(
 
     Args:
         scene: what to precompute; its environment is stored as the default light.
-        settings: the dials.
+        method: the dials.
         folder: the store; by default one in the user's cache folder, named by the geometry.
         report: called when a stage that has something to do starts, and after every group.
 
@@ -66,36 +67,35 @@ def precompute(
         InputError: for a scene that transport cannot be precomputed of; with bounces, where a material reflects all
             light or more.
     """
-    if not settings.gather_samples:
-        scene.check_distant()
     scene.check_materials()
-    if settings.gather_samples:
-        return _finished(make_indirect(scene, settings, folder, report, seconds := {}), seconds, [])
+    if isinstance(method, Indirect):
+        return _finished(make_indirect(scene, method, folder, report, seconds := {}), seconds, [])
     # Bounces pass through vertices, whatever the receivers are.
-    checked = _of_pass(settings, 0) if settings.bounces else settings
+    checked = _of_pass(method, 0) if method.bounces else method
     for part in scene.parts:
         check_terms_of(scene, part.material, checked)
-    albedo = _largest_albedo(scene) if settings.bounces else 0.0
+    albedo = _largest_albedo(scene) if method.bounces else 0.0
     seconds: dict[str, float] = {}
     passes, left = [], 1.0
     gather, transport = None, None
-    while len(passes) < settings.bounces and left > settings.tolerance:
-        passes.append(make_layers(scene, _of_pass(settings, len(passes)), folder, report, seconds, gather))
-        before, transport = transport, load(passes[-1].folder, passes[-1].header, passes[-1].placed)
+    while len(passes) < method.bounces and left > method.compression_tolerance:
+        passes.append(make_layers(scene, _of_pass(method, len(passes)), folder, report, seconds, gather))
+        before = transport
+        transport = _transport_of(passes[-1].folder, passes[-1].header, passes[-1].geometry)
         left = remaining(transport, before, albedo)
         key = store.key_of(passes[-1].header["geometry"], passes[-1].header["materials"])
-        gather = Gather(transport, key, settings.gather_resolution, settings.gather == "nearest")
+        gather = Gather(transport, key, method.gather_resolution, method.gather == "nearest")
     bounces = len(passes)
-    made = make_layers(scene, dataclasses.replace(settings, bounces=bounces), folder, report, seconds, gather)
+    made = make_layers(scene, dataclasses.replace(method, bounces=bounces), folder, report, seconds, gather)
     notes = []
-    if bounces < settings.bounces:
+    if bounces < method.bounces:
         notes.append(
-            f"{bounces} of {settings.bounces} bounces were made: the others would add {left:.1%} of light at most"
+            f"{bounces} of {method.bounces} bounces were made: the others would add {left:.1%} of light at most"
         )
     return _finished(made, seconds, passes, notes)
 
 
-def _finished(made: Made, seconds: dict[str, float], passes: Sequence[Made], notes: Sequence[str] = ()) -> Summary:
+def _finished(made: Made, seconds: dict[str, float], passes: Sequence[Made], notes: Sequence[str] = ()) -> StoreBuild:
     """Writes the store's header."""
     header = {**made.header, "passes": [_layers(one) for one in passes]}
     store.write_header(made.folder, header)
@@ -103,15 +103,22 @@ def _finished(made: Made, seconds: dict[str, float], passes: Sequence[Made], not
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(made.folder / name)
     rays = made.rays + sum(one.rays for one in passes)
-    count = made.placed.receivers.count
-    return Summary(made.folder, seconds, rays, count, dict(nbytes), header, made.placed, (*made.notes, *notes))
+    assert made.geometry.receivers is not None
+    count = made.geometry.receivers.count
+    return StoreBuild(made.folder, seconds, rays, count, dict(nbytes), header, made.geometry, (*made.notes, *notes))
 
 
-def _of_pass(settings: Settings, bounces: int) -> Settings:
+def _transport_of(folder: pathlib.Path, header: dict, geometry: SceneGeometry) -> PrecomputedTransport:
+    transport = load(folder, header, geometry)
+    assert isinstance(transport, PrecomputedTransport)
+    return transport
+
+
+def _of_pass(method: Transport, bounces: int) -> Transport:
     """Those of the light that the next pass is gathered from."""
-    compressed = settings
-    if settings.coefficients == "all":
-        compressed = dataclasses.replace(settings, coefficients="shared")
+    compressed = method
+    if method.coefficients == "all":
+        compressed = dataclasses.replace(method, coefficients="shared")
     return dataclasses.replace(compressed, receivers="vertices", bounces=bounces)
 
 

@@ -25,6 +25,7 @@ from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.lights.environment import Environment, load_environment
+from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.local import Light
 from jaxrelight.scene.lights import read_light
 from jaxrelight.scene.materials import from_file, made_light, read_texture, weighted
@@ -50,27 +51,47 @@ class Scene:
         parts: the meshes.
         materials: by name; a BRDF is the same over the whole surface.
         camera: the view, unless another is asked for.
-        environment: the light, unless another is asked for.
+        lights: an environment and local lights, unless others are asked for.
         name: what messages call it.
         assumptions: what was approximated, or taken because nothing else was said, one line each.
         terms: factors of a material, by its name, where it is to have another number than the settings say.
-        lights: those that are not the environment; transport has none of them.
     """
 
     parts: Sequence[Part]
     materials: Mapping[str, Brdf | Material]
     camera: Camera
-    environment: Environment | None = None
+    lights: Lights = dataclasses.field(default_factory=Lights)
     name: str = "scene"
     terms: Mapping[str, int] = dataclasses.field(default_factory=dict)
     assumptions: Sequence[str] = ()
-    lights: Sequence[Light] = ()
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        materials: Mapping[str, Brdf | Material],
+        camera: Camera,
+        lights: LightsLike = None,
+        name: str = "scene",
+        terms: Mapping[str, int] | None = None,
+        assumptions: Sequence[str] = (),
+    ):
+        """See the attributes; lights are an environment, local lights, or a list of both."""
+        for field, value in {
+            "parts": tuple(parts),
+            "materials": materials,
+            "camera": camera,
+            "lights": as_lights(lights),
+            "name": name,
+            "terms": terms or {},
+            "assumptions": assumptions,
+        }.items():
+            object.__setattr__(self, field, value)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was mended and assumed while the scene was read, one line each."""
         lines = [f"{part.name}: {note}" for part in self.parts for note in part.mesh.notes]
-        return (*lines, *self.assumptions, *(self.environment.notes if self.environment else ()))
+        return (*lines, *self.assumptions, *self.lights.notes)
 
     def surfaces(self) -> Surfaces:
         """All meshes as one. Directions in maps of BRDFs count from that of growing u, so their meshes' frames do."""
@@ -101,18 +122,6 @@ class Scene:
                     f"{self.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
                     "needs; export it with them, or give it another material"
                 )
-
-    def check_distant(self):
-        """Refuses local lights, which precomputed transport has not.
-
-        Raises:
-            InputError: if there are any.
-        """
-        if self.lights:
-            raise InputError(
-                f"{self.name}: transport is of distant light only, and the scene has [[light]]; render it with "
-                "--lighting indirect or prefiltered, or remove them"
-            )
 
 
 def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Scene:
@@ -154,7 +163,8 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     root.finish()
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]; add one")
-    return Scene(tuple(parts), materials, camera, environment, path.stem, terms, tuple(assumptions), lights)
+    lights = Lights(environment, lights)
+    return Scene(parts, materials, camera, lights, path.stem, terms, tuple(assumptions))
 
 
 def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:

@@ -33,7 +33,7 @@ from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake
-from jaxrelight.transport.model import Block, Transport
+from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Numbers in a matrix of how much is seen, of several groups of vertices at once: what stays in cache. Sixteen times as
 # many took 2.6 times as long.
@@ -71,7 +71,7 @@ class Gather:
         resolution: side of the faces of the cube map that receivers look around with.
     """
 
-    def __init__(self, transport: Transport, key: str, resolution: int, nearest: bool = False):
+    def __init__(self, transport: PrecomputedTransport, key: str, resolution: int, nearest: bool = False):
         """From a transport of vertices, whose operators are `SparseRows`, `Clustered` or sums of them.
 
         Args:
@@ -80,12 +80,12 @@ class Gather:
             resolution: side of the faces of the cube map that receivers look around with (the paper's is 32).
             nearest: take the rows of the nearest vertex at each hit, as the paper does, not those of the face's three.
         """
-        assert transport.settings.receivers == "vertices"
+        assert transport.method.receivers == "vertices"
         self.resolution = resolution
         self.key = store.key_of(key, resolution, nearest)
         self._transport = transport
         self._nearest = nearest
-        self._parts = [[_part(one, block) for one in parts_of(operator)] for block, operator in transport.each]
+        self._parts = [[_part(one, block) for one in parts_of(block.operator)] for block in transport.blocks]
         closing = [_outgoing_shape(block)[-1] for block in transport.blocks]
         emitted = [len(block.emission) for block in transport.blocks if block.emission is not None]
         self.channels = max(*closing, *emitted, transport.operator.shape[2])
@@ -163,7 +163,7 @@ class Gather:
                 seen[place] += np.sum(corners * np.asarray(closing)[: len(mine)], axis=1)
             if emission and radiance is not None:
                 front = np.sum(hits.points.normals[mine] * hits.points.omega_o[mine], axis=1) > 0
-                seen[place] += front[:, None] * radiance
+                seen[place] += front[:, None] * np.asarray(radiance)
         return np.asarray(_received(light_side, seen))
 
     def hits(self, receivers: Receivers, group: int) -> Hits:
@@ -348,7 +348,7 @@ def _mixed(
     return jnp.einsum("pqs,pqmkc->psmkc", basis, mixtures, precision="highest").reshape(p, -1, m * k * c)
 
 
-def remaining(transport: Transport, before: Transport | None, albedo: float) -> float:
+def remaining(transport: PrecomputedTransport, before: PrecomputedTransport | None, albedo: float) -> float:
     """How much light the bounces that are still missing may add, relative to all there is.
 
     Light is an even white sky, and what surfaces emit; the larger share counts. Each bounce reflects at most `albedo`
@@ -366,18 +366,18 @@ def remaining(transport: Transport, before: Transport | None, albedo: float) -> 
     return max(steps) * albedo / (1 - albedo)
 
 
-def _lit(transport: Transport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+def _lit(transport: PrecomputedTransport) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Radiance along the normals of all vertices: under an even white sky, and by the light that surfaces emit."""
     white = np.asarray(transport.basis.encode(as_array(np.ones(transport.operator.shape[1], np.float32))))
     at_normal = [np.asarray(rows, np.float32) for rows in ([[0.0, 0.0, 1.0]], [[0.0, 0.0]], [1.0])]
     reflected, emitted = [], []
-    for block, operator in transport.each:
+    for block in transport.blocks:
         closing = np.asarray(_outgoing(block.reflection, block.weight, *at_normal))
-        channels = max(operator.shape[2], closing.shape[-1])
-        terms = _applied(operator, np.repeat(white[:, None], channels, axis=1))
+        channels = max(block.operator.shape[2], closing.shape[-1])
+        terms = _applied(block.operator, np.repeat(white[:, None], channels, axis=1))
         reflected.append(np.sum(np.asarray(terms).reshape(-1, block.reflection.terms, channels) * closing, axis=1))
-        own = np.zeros(3) if block.emission is None else block.emission
-        more = 0.0 if block.emitted is None else np.sum(block.emitted * closing, axis=1)
+        own = np.zeros(3) if block.emission is None else np.asarray(block.emission)
+        more = 0.0 if block.emitted is None else np.sum(np.asarray(block.emitted) * closing, axis=1)
         emitted.append(np.broadcast_to(own + more, (len(reflected[-1]), 3)))
     flat = [np.concatenate([part.ravel() for part in parts]) for parts in (reflected, emitted)]
     return flat[0], flat[1]

@@ -13,7 +13,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lights.natural_spectrum import natural_spectrum
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Indirect, Transport
 from jaxrelight.numerics.buckets import bucket
 from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
 from jaxrelight.operators.quantised import Quantised, quantised
@@ -32,23 +32,23 @@ class Opened(NamedTuple):
     total: Float[np.ndarray, "r c"]
 
 
-def compression(settings: Settings) -> "Rows | Clusters":
-    """What the settings ask for, of direct light."""
-    if settings.coefficients == "shared":
-        return shared(settings)
-    return Rows(int(settings.coefficients), settings.bits, natural_spectrum(settings.resolution))
+def compression(method: Transport) -> "Rows | Clusters":
+    """What the method ask for, of direct light."""
+    if method.coefficients == "shared":
+        return shared(method)
+    return Rows(int(method.coefficients), method.bits, natural_spectrum(method.resolution))
 
 
-def shared(settings: Settings) -> "Clusters":
+def shared(method: Transport) -> "Clusters":
     """Of bounced light, whatever direct light is kept as."""
-    return Clusters(settings.tolerance, settings.bits, natural_spectrum(settings.resolution))
+    return Clusters(method.compression_tolerance, method.bits, natural_spectrum(method.resolution))
 
 
-def of_cloud(settings: Settings, spectrum: Float[np.ndarray, " d"]) -> "Rows | Clusters":
+def of_cloud(method: Indirect, spectrum: Float[np.ndarray, " d"]) -> "Rows | Clusters":
     """Of what is gathered from a cloud, whose light has a spectrum."""
-    if settings.coefficients == "shared":
-        return Clusters(settings.tolerance, settings.bits, spectrum)
-    return Rows(int(settings.coefficients), settings.bits, spectrum)
+    if method.coefficients == "shared":
+        return Clusters(method.compression_tolerance, method.bits, spectrum)
+    return Rows(int(method.coefficients), method.bits, spectrum)
 
 
 def bake_compressed(

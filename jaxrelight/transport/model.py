@@ -1,12 +1,14 @@
 """The transport model: what is known of a precomputed scene, ready to light and to view with."""
 
 import dataclasses
+import functools
 import pathlib
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.normal_maps import NormalMaps
@@ -14,6 +16,7 @@ from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight
 from jaxrelight.files import store
+from jaxrelight.gather.gather_cloud import GatherCloud
 from jaxrelight.gather.lit_cloud import LitCloud
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
@@ -21,8 +24,10 @@ from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.receivers import Receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.lights import Lights
 from jaxrelight.lights.local import Light
-from jaxrelight.methods import Settings
+from jaxrelight.methods import Indirect, Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis, Operator
 from jaxrelight.operators.stacked import Stacked
@@ -30,96 +35,196 @@ from jaxrelight.transport import bake
 from jaxrelight.transport.streamed import Streamed
 
 
-@dataclasses.dataclass(frozen=True)
-class Block:
-    """The operator's rows of one BRDF of one material.
+class ByKey:
+    """Objects of the host that are equal where their keys are: static parts of pytrees, compiled for once.
+
+    Attributes:
+        key: follows from all that the object holds.
+    """
+
+    key: str
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self.key == other.key  # pyright: ignore[reportAttributeAccessIssue]
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SceneGeometry(ByKey):
+    """The geometry of a scene, ready for rays, with its receivers where a method has any.
+
+    Attributes:
+        surfaces: all meshes.
+        tracer: rays against them.
+        normal_maps: of each mesh; empty where they are bent into the normals of vertices already.
+        material_of_mesh: the name of each mesh's material; None where no receiver is of that material.
+        receivers: the points of the operator's rows; None for a method without.
+        visible: what the scene's camera sees, where receivers are its pixels.
+    """
+
+    surfaces: Surfaces
+    tracer: Tracer
+    normal_maps: NormalMaps
+    material_of_mesh: tuple[str | None, ...]
+    receivers: Receivers | None = None
+    visible: GBuffer | None = None
+
+    @functools.cached_property
+    def key(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of the geometry and its materials' names."""
+        surfaces, maps = self.surfaces, (np.asarray(one.pixels) if one else None for one in self.normal_maps)
+        arrays = surfaces.normals, surfaces.uv, surfaces.mesh_of_vertex, surfaces.two_sided, surfaces.uv_tangents
+        placement = [*surfaces.centre.tolist(), surfaces.radius]
+        return store.key_of(self.tracer.key, *arrays, placement, list(self.material_of_mesh), *maps)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StoredScene(ByKey):
+    """What a relighter needs of a store beside its operators, on the host.
+
+    Attributes:
+        key: of the store's header.
+        folder: the store.
+        geometry: of the scene, with its receivers.
+        camera: the scene's.
+        visibility: the layer of visibility bits; None where light is of a cloud.
+        environment: the layer of the scene's own environment, if it has one.
+        rotate_y: of that environment, in degrees.
+        scale: of that environment.
+        local: the scene's own local lights.
+        cloud: the points where light comes from that is not of the sky; None for distant light.
+    """
+
+    key: str
+    folder: pathlib.Path
+    geometry: SceneGeometry
+    camera: Camera
+    visibility: store.Layer | None
+    environment: store.Layer | None
+    rotate_y: float
+    scale: float
+    local: tuple[Light, ...]
+    cloud: GatherCloud | None = None
+
+    def lights(self) -> Lights:
+        """The scene's own lights, the environment read from its layer."""
+        if self.environment is None:
+            return Lights(None, self.local)
+        return Lights(Environment(self.environment.read("pixels", 0), self.rotate_y, self.scale), self.local)
+
+
+class Block(eqx.Module):
+    """The operator of one BRDF of one material.
 
     Attributes:
         material: its name.
         brdf: one of those that the material combines.
         weight: the factor on it over the surface.
         reflection: of the BRDF; arrays that each receiver has for itself lead with groups and receivers.
-        groups: of the material's receivers.
+        operator: from light to light terms, its rows ordered by group, receiver and term; where light bounces, the sum
+            of direct and of bounced light.
+        first_group: the first of the material's groups of receivers.
+        group_count: how many groups follow it, with itself.
         dropped: energy left out of every row by channel, of direct and of bounced light; None where nothing is.
         emission: radiance that the material emits; of its first block alone, None for the others.
         emitted: light terms of what other surfaces emit, by way of bounces; None where there is none.
     """
 
-    material: str
+    material: str = eqx.field(static=True)
     brdf: Brdf | SpatialLobes
     weight: Weight
     reflection: Reflection
-    groups: Int[np.ndarray, " g"]
-    dropped: Float[np.ndarray, "r c"] | None
-    emission: Float[np.ndarray, "3"] | None = None
-    emitted: Float[np.ndarray, "v k c"] | None = None
+    operator: Operator
+    first_group: int = eqx.field(static=True)
+    group_count: int = eqx.field(static=True)
+    dropped: Float[Array, "r c"] | None
+    emission: Float[Array, "3"] | None = None
+    emitted: Float[Array, "v k c"] | None = None
+
+    @property
+    def groups(self) -> Int[np.ndarray, " g"]:
+        """Of the material's receivers."""
+        return np.arange(self.first_group, self.first_group + self.group_count)
 
 
-@dataclasses.dataclass(frozen=True)
-class Transport:
+class PrecomputedTransport(eqx.Module):
     """What a store holds, ready to light and to view with.
 
     Attributes:
-        settings: the dials it was made with.
-        surfaces: the geometry, for views; its normals are bent by normal maps where receivers are vertices.
-        normal_maps: of each mesh, where receivers are pixels.
-        tracer: rays against it.
-        receivers: the points of the operator's rows.
-        seen: what the scene's camera sees, where receivers are its pixels.
-        blocks: what the operator's rows belong to, in their order: a block for each BRDF of each material seen.
-        operator: from light to light terms; its rows are ordered by block, group, receiver and term.
-        basis: of the operator's light.
-        kept: share of transport energy that the operator keeps.
-        camera: the scene's.
-        environment: the layer of the scene's own environment, if it has one.
-        rotate_y: of that environment.
-        scale: of that environment.
-        folder: the store.
-        visibility: the layer of visibility bits; None where light is of a cloud.
-        cloud: where light comes from that is not of the sky.
-        lights: the scene's own local lights.
-        material_of_mesh: names; None where no receiver is of that mesh's material.
+        blocks: a block for each BRDF of each material that receivers have.
+        basis: of the operators' light.
+        method: the dials it was made with.
+        stored: the rest of the store, on the host.
+        kept: share of transport energy that the operators keep.
     """
 
-    settings: Settings
-    surfaces: Surfaces
-    normal_maps: NormalMaps
-    tracer: Tracer
-    receivers: Receivers
-    seen: GBuffer | None
     blocks: tuple[Block, ...]
-    operator: Stacked
     basis: Basis
-    kept: float
-    camera: Camera
-    environment: store.Layer | None
-    rotate_y: float
-    scale: float
-    folder: pathlib.Path
-    visibility: store.Layer | None
-    cloud: LitCloud | None = None
-    lights: tuple[Light, ...] = ()
-    material_of_mesh: tuple[str | None, ...] = ()
+    method: Transport | Indirect = eqx.field(static=True)
+    stored: StoredScene = eqx.field(static=True)
+    kept: float = eqx.field(static=True)
 
     @property
-    def each(self) -> list[tuple[Block, Operator]]:
-        """Every block and the operator of its rows: where light bounces, the sum of direct and of bounced light."""
-        return list(zip(self.blocks, self.operator.operators, strict=True))
+    def operator(self) -> Stacked:
+        """From light to the light terms of all blocks."""
+        return Stacked(tuple(block.operator for block in self.blocks))
+
+    @property
+    def geometry(self) -> SceneGeometry:
+        """Of the scene."""
+        return self.stored.geometry
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """All meshes."""
+        return self.geometry.surfaces
+
+    @property
+    def tracer(self) -> Tracer:
+        """Rays against the surfaces."""
+        return self.geometry.tracer
+
+    @property
+    def receivers(self) -> Receivers:
+        """The points of the operators' rows."""
+        assert self.geometry.receivers is not None
+        return self.geometry.receivers
 
     @property
     def emits(self) -> bool:
         """Whether surfaces emit light."""
         return any(block.emission is not None for block in self.blocks)
 
-    @property
-    def names(self) -> list[str]:
-        """The material of each block."""
-        return [block.material for block in self.blocks]
+
+class PrecomputedIndirect(eqx.Module):
+    """What a store for local lights holds: transport from the light of a cloud to pixels, and the cloud.
+
+    Attributes:
+        transport: from light of the cloud to the light terms of pixels.
+        cloud: the points that stand for all surfaces.
+    """
+
+    transport: PrecomputedTransport
+    cloud: LitCloud
 
     @property
-    def reflections(self) -> list[Reflection]:
-        """The reflection of each block."""
-        return [block.reflection for block in self.blocks]
+    def points(self) -> GatherCloud:
+        """The places of the cloud's points, on the host."""
+        assert self.transport.stored.cloud is not None
+        return self.transport.stored.cloud
+
+    @property
+    def method(self) -> Indirect:
+        """The dials it was made with."""
+        assert isinstance(self.transport.method, Indirect)
+        return self.transport.method
+
+    @property
+    def stored(self) -> StoredScene:
+        """The rest of the store, on the host."""
+        return self.transport.stored
 
 
 def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.ndarray, "g m 3 3"]:
@@ -150,13 +255,21 @@ def _at(brdf: PackedLobes, uv: Float[Array, "m 2"], footprint: Float[Array, " m"
     return brdf.at(uv, footprint)
 
 
+class StoredBits(ByKey):
+    """Reads the visibility bits of some groups from their layer."""
+
+    def __init__(self, visibility: store.Layer, groups: Int[np.ndarray, " g"]):
+        self._visibility, self._groups = visibility, groups
+        self.key = store.key_of(str(visibility.folder), groups)
+
+    def __call__(self, group: int) -> UInt8[np.ndarray, "m b"]:
+        """The bits of a group by its number among them."""
+        return self._visibility.read("bits", int(self._groups[group]))
+
+
 def streamed(
-    settings: Settings, visibility: store.Layer, receivers: Receivers, groups: np.ndarray, reflection: Reflection
+    method: Transport, visibility: store.Layer, receivers: Receivers, groups: np.ndarray, reflection: Reflection
 ) -> Streamed:
     """The exact operator of one material's groups, reading visibility from its layer."""
-
-    def read_bits(group: int) -> np.ndarray:
-        return visibility.read("bits", int(groups[group]))
-
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    return Streamed(read_bits, as_array(frames_of(receivers, groups)), reflection, directions)
+    directions = bake.directions_for(method.resolution, method.samples_per_side)
+    return Streamed(StoredBits(visibility, groups), as_array(frames_of(receivers, groups)), reflection, directions)

@@ -12,19 +12,19 @@ from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.algebra import InBasis, Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
-from jaxrelight.operators.stacked import Stacked
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Transport, frames_of, streamed
+from jaxrelight.transport.model import PrecomputedTransport, frames_of, streamed
 from jaxrelight.transport.streamed import Streamed
 
 
-def exact(transport: Transport) -> Transport:
+def exact(transport: PrecomputedTransport) -> PrecomputedTransport:
     """The same scene with nothing of direct light left out: rows over all texels, baked from visibility at every use.
 
     The reference that the kept coefficients are measured against; factors and bounced light stay what they are.
@@ -32,24 +32,21 @@ def exact(transport: Transport) -> Transport:
     Raises:
         InputError: of a store for local lights.
     """
-    settings, operators, visibility = transport.settings, [], _visibility_of(transport)
-    for block, old in transport.each:
-        direct = streamed(settings, visibility, transport.receivers, block.groups, block.reflection)
-        bounced = parts_of(old)[1:]
-        if settings.coefficients != "all":
-            bounced = [InBasis(one, HaarFaces(settings.resolution)) for one in bounced]
-        operators.append(Summed((direct, *bounced)) if bounced else direct)
-    return dataclasses.replace(
-        transport,
-        settings=dataclasses.replace(settings, coefficients="all"),
-        blocks=tuple(dataclasses.replace(block, dropped=None) for block in transport.blocks),
-        operator=Stacked(tuple(operators)),
-        basis=cubemap.Texels(settings.resolution),
-        kept=1.0,
-    )
+    visibility, method = _visibility_of(transport), _transport_of(transport)
+    blocks = []
+    for block in transport.blocks:
+        direct = streamed(method, visibility, transport.receivers, block.groups, block.reflection)
+        bounced = parts_of(block.operator)[1:]
+        if method.coefficients != "all":
+            bounced = [InBasis(one, HaarFaces(method.resolution)) for one in bounced]
+        operator = Summed((direct, *bounced)) if bounced else direct
+        blocks.append(dataclasses.replace(block, operator=operator, dropped=None))
+    method = dataclasses.replace(method, coefficients="all")
+    basis = cubemap.Texels(method.resolution)
+    return dataclasses.replace(transport, blocks=tuple(blocks), basis=basis, method=method, kept=1.0)
 
 
-def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
+def rebake(transport: PrecomputedTransport, reflections: list[Reflection]) -> PrecomputedTransport:
     """The same scene with another reflection for each block, on the same visibility and kept coefficients; no ray.
 
     Pure and differentiable in the reflections' arrays, in both modes. Which coefficients are kept is held fixed: the
@@ -59,23 +56,23 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
     Raises:
         InputError: of a transport with bounces, or for local lights.
     """
-    settings = transport.settings
-    if settings.bounces:
+    visibility, method = _visibility_of(transport), _transport_of(transport)
+    if method.bounces:
         raise InputError("rebake: bounced light is not in the visibility that rows are baked from; precompute again")
-    directions = bake.directions_for(settings.resolution, settings.samples_per_side)
-    operators, blocks = [], []
-    for old, block, reflection in zip(transport.operator.operators, transport.blocks, reflections, strict=True):
-        groups = block.groups
-        blocks.append(dataclasses.replace(block, reflection=reflection))
+    directions = bake.directions_for(method.resolution, method.samples_per_side)
+    blocks = []
+    for block, reflection in zip(transport.blocks, reflections, strict=True):
+        groups, old = block.groups, block.operator
         if isinstance(old, Streamed):
-            operators.append(Streamed(old.read_bits, old.frames, reflection, directions))
+            operator = Streamed(old.read_bits, old.frames, reflection, directions)
+            blocks.append(dataclasses.replace(block, reflection=reflection, operator=operator))
             continue
         frames = frames_of(transport.receivers, groups)
         kept, counts = _kept(old, len(groups), reflection.terms)
         n = kept.shape[-1]
         values = [
             bake.bake_kept(
-                as_array(_visibility_of(transport).read("bits", int(group))),
+                as_array(visibility.read("bits", int(group))),
                 frames[i],
                 of_group(reflection, i),
                 directions,
@@ -87,8 +84,9 @@ def rebake(transport: Transport, reflections: list[Reflection]) -> Transport:
         ]
         joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
         held = padded_receivers(len(groups) * GROUP) * reflection.terms
-        operators.append(sparse_rows(kept.reshape(-1, n), joined, old.shape[1], held))
-    return dataclasses.replace(transport, blocks=tuple(blocks), operator=Stacked(tuple(operators)))
+        operator = sparse_rows(kept.reshape(-1, n), joined, old.shape[1], held)
+        blocks.append(dataclasses.replace(block, reflection=reflection, operator=operator))
+    return dataclasses.replace(transport, blocks=tuple(blocks))
 
 
 def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarray, "g m k n"], Int[np.ndarray, " g"]]:
@@ -106,7 +104,13 @@ def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarra
     return kept, counts
 
 
-def _visibility_of(transport: Transport) -> store.Layer:
-    if transport.visibility is None:
-        raise InputError(f"{transport.folder}: a store for local lights, whose rows are not baked from visibility")
-    return transport.visibility
+def _visibility_of(transport: PrecomputedTransport) -> store.Layer:
+    stored = transport.stored
+    if stored.visibility is None:
+        raise InputError(f"{stored.folder}: a store for local lights, whose rows are not baked from visibility")
+    return stored.visibility
+
+
+def _transport_of(transport: PrecomputedTransport) -> Transport:
+    assert isinstance(transport.method, Transport)
+    return transport.method

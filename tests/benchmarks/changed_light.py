@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrelight.lighting.prepare import open_store
 from jaxrelight.operators.clustered import Bucket, Clustered
 from jaxrelight.operators.quantised import decoded
 from tests.benchmarks.measuring import Report, interleaved, shared
@@ -51,11 +52,13 @@ def main():
 
 
 def _relighter(folder: pathlib.Path, coefficients, resolution: int):
-    from jaxrelight import Relighter, Settings, load_scene, precompute
+    from jaxrelight import load_scene
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    settings = Settings(resolution=resolution, coefficients=coefficients)
-    return Relighter.open(precompute(scene, settings, folder).folder)
+    settings = Transport("vertices", resolution=resolution, coefficients=coefficients)
+    return open_store(precompute(scene, settings, folder).folder)
 
 
 # Changes of light
@@ -229,7 +232,7 @@ def _lights(relighter) -> tuple[Float[np.ndarray, "d 3"], dict[str, Float[np.nda
 
     file, scale = LIGHTS["sunset"]
     whole = load_environment(shared("data", "env", file)).pixels
-    pixels = np.asarray(coarsened(whole, relighter.transport.settings.resolution))
+    pixels = np.asarray(coarsened(whole, relighter.transport.method.resolution))
     height, width = pixels.shape[:2]
 
     def with_region(degrees: float, factor: float, radiance: float):
@@ -292,7 +295,7 @@ def sixteen_bits(report: Report, relighters, runs: int):
     from jaxrelight.basis.haar import levels
     from tests.benchmarks.quantised_rows import light_vector
 
-    resolution = relighters["rows"].transport.settings.resolution
+    resolution = relighters["rows"].transport.method.resolution
     lights = {name: light_vector(*light, resolution) for name, light in LIGHTS.items()}
     levels_of = {"a scale per level": levels(resolution), "one scale": np.zeros(6 * resolution**2, int)}
     apply = jax.jit(lambda operators, light: [operator.apply(light) for operator in operators])

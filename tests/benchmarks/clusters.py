@@ -394,12 +394,14 @@ def speed(report: Report, scene, terms: int, tolerance: float, one: Sample, fold
     import jax
     import jax.numpy as jnp
 
-    from jaxrelight import Settings, load, precompute
+    from jaxrelight.methods import Transport
     from jaxrelight.operators.clustered import Clustered, quantised_clusters
+    from jaxrelight.precomputation.load import load
+    from jaxrelight.precomputation.precompute import precompute
 
-    settings = Settings(terms=terms, resolution=RESOLUTION, tolerance=tolerance)
+    settings = Transport("vertices", terms=terms, resolution=RESOLUTION, compression_tolerance=tolerance)
     made = precompute(scene, settings, folder)
-    transport = load(made.folder, made.header, made.placed)
+    transport = load(made.folder, made.header, made.geometry)
     _, operator = [one for one in transport.each if one[0].material == "object"][-1]
     assert isinstance(operator, Clustered)
     coded = quantised_clusters(operator, 8)

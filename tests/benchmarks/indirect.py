@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from tests.benchmarks.measuring import Report, interleaved, megabytes, percent, shared
 
 # Targets for the whole image.
@@ -93,9 +95,9 @@ def room(
         return [*map(percent, errors), percent(energy)], [f"{times[call].median * 1e3:.1f}" for call in calls]
 
     for label, dials in every.items():
-        settings = jr.Settings("pixels", bounces=3, **{"gather_samples": samples, **dials})
-        made = jr.precompute(scene, settings, folder / label if apart else folder)
-        opened[label] = jr.load(made.folder, made.header, made.placed)
+        settings = jr.Indirect(bounces=3, **{"gather_samples": samples, **dials})
+        made = precompute(scene, settings, folder / label if apart else folder)
+        opened[label] = load(made.folder, made.header, made.geometry)
         errors, milliseconds = told(IndirectRelighter(opened[label]))
         seconds = [f"{made.seconds[stage]:.0f}" for stage in ("between", "pixels")]
         size = sum(made.nbytes.get(kind, 0) for kind in ("between", "indirect"))
@@ -123,9 +125,9 @@ def peaks(report: Report, samples: int, folder: pathlib.Path):
         wanted = None
         for solid_angle, peak in ((0.002, 1e-4), *((0.1, peak) for peak in PEAKS)):
             dials = {"solid_angle": solid_angle, "peak": peak, "tolerance": 0.0, "bounces": 1}
-            settings = jr.Settings("pixels", gather_samples=samples, **dials)
-            made = jr.precompute(scene, settings, folder / f"{exponent}-{solid_angle}-{peak}")
-            relighter = IndirectRelighter(jr.load(made.folder, made.header, made.placed))
+            settings = jr.Indirect(gather_samples=samples, **dials)
+            made = precompute(scene, settings, folder / f"{exponent}-{solid_angle}-{peak}")
+            relighter = IndirectRelighter(load(made.folder, made.header, made.geometry))
             found = np.asarray(relighter.gathered(relighter.cloud_light(scene.lights), "glossy"))
             wanted = found if wanted is None else wanted
             error = float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
@@ -154,8 +156,8 @@ def closed(report: Report, samples: int, folder: pathlib.Path):
     for near in ("disc", "clamp"):
         for bounces in (1, 2, 3, 4):
             dials: dict[str, Any] = {"near": near, "bounces": bounces, "tolerance": 0.0}
-            done = jr.precompute(scene, jr.Settings("pixels", gather_samples=samples, **dials), folder / near)
-            relighter = IndirectRelighter(jr.load(done.folder, done.header, done.placed))
+            done = precompute(scene, jr.Indirect(gather_samples=samples, **dials), folder / near)
+            relighter = IndirectRelighter(load(done.folder, done.header, done.placed))
             found = np.asarray(relighter.indirect([]))[..., 0]
             wanted = sum(WHITE**n for n in range(bounces + 1))
             cells = ["", ""]

@@ -9,6 +9,9 @@ import time
 
 import numpy as np
 
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from tests.benchmarks.measuring import Report, answer, megabytes, percent, run_child, shared
 from tests.benchmarks.pictures import contact_sheet
 
@@ -62,8 +65,8 @@ def box(report: Report, folder: pathlib.Path, resolution: int):
     scene = jr.Scene([jr.Part(inside, "wall")], {"wall": wall}, camera)
     dark, rows = jr.environment(np.zeros((4, 8, 3), np.float32)), []
     for bounces in (1, 2, 3, 4, 6, 8, 12):
-        settings = jr.Settings(resolution=4, bounces=bounces, tolerance=0.0)
-        relighter = jr.Relighter.open(jr.precompute(scene, settings, folder / "box").folder)
+        settings = jr.Transport("vertices", resolution=4, bounces=bounces, compression_tolerance=0.0)
+        relighter = jr.open_store(precompute(scene, settings, folder / "box").folder)
         image = relighter.image(dark, relighter.view())[..., :3]
         series = (1 - 0.5 ** (bounces + 1)) / 0.5
         off = np.abs(image / series - 1)
@@ -80,7 +83,7 @@ def references(report: Report, folder: pathlib.Path, resolution: int):
     scene, rows = jr.load_scene(shared("reference", "bunny_lambert.toml")), []
     for receivers, coefficients, target in REFERENCES:
         for bounces in (0, 1, 2):
-            settings = jr.Settings(receivers, resolution, coefficients=coefficients, bounces=bounces)
+            settings = jr.Transport(receivers, resolution, coefficients=coefficients, bounces=bounces)
             image, made, _ = _lit(scene, settings, folder / "bunny")
             error = jr.image_error(image, jr.read_image(shared("reference", f"bunny_lambert_b{bounces}.exr")))
             kept = coefficients if isinstance(coefficients, str) else f"N = {coefficients}"
@@ -121,7 +124,7 @@ def _pass_of_the_bunny(folder: pathlib.Path, resolution: int):
     import jaxrelight as jr
 
     scene = jr.load_scene(shared("reference", "bunny_phong.toml"))
-    made = jr.precompute(scene, jr.Settings(resolution=resolution, bounces=1), folder)
+    made = precompute(scene, jr.Transport("vertices", resolution=resolution, bounces=1), folder)
     answer({"seconds": made.seconds, "receivers": made.receivers, "bytes": _held(made)})
 
 
@@ -143,12 +146,12 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
 
     def bounced(bounces: int = 1, **dials) -> tuple[np.ndarray, float, str]:
         """Bounced light alone, what the last bounce took, and how many coefficients and shared rows a group has."""
-        settings = jr.Settings("vertices", resolution, bounces=bounces, **dials)
+        settings = jr.Transport("vertices", resolution, bounces=bounces, **dials)
         image, made, relighter = _lit(scene, settings, store)
         if bounces:
             transport = relighter.transport
             alone = Stacked(tuple(parts_of(operator)[1] for operator in transport.operator.operators))
-            other = jr.Relighter(dataclasses.replace(transport, operator=alone))
+            other = TransportRelighter(dataclasses.replace(transport, operator=alone))
             image = other.image(scene.environment, other.view(), other.light(scene.environment, False), False)
         sizes = [0, 0]
         for operator in relighter.transport.operator.operators if bounces else ():
@@ -231,10 +234,9 @@ def _scene_of_the_study(mesh: str):
 
 def _lit(scene, settings, folder: pathlib.Path):
     """The picture that the scene's own light makes, without background."""
-    import jaxrelight as jr
 
-    made = jr.precompute(scene, settings, folder)
-    relighter = jr.Relighter(jr.load(made.folder, made.header, made.placed))
+    made = precompute(scene, settings, folder)
+    relighter = TransportRelighter(load(made.folder, made.header, made.geometry))
     return relighter.image(scene.environment, relighter.view(), background=False), made, relighter
 
 

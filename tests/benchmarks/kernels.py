@@ -235,8 +235,8 @@ def _product_inputs(real: bool, store: pathlib.Path | None):
 
 def _stored_rows(store: pathlib.Path | None):
     """Indices and values of the first rows of the store's operator of three channels."""
-    from jaxrelight import load
     from jaxrelight.operators.sparse_rows import SparseRows
+    from jaxrelight.precomputation.load import load
 
     assert store is not None
     for operator in load(store).operator.operators:

@@ -7,6 +7,7 @@ import pathlib
 import tempfile
 import time
 
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, answer, megabytes, percent, run_child, shared
 
 MODULE = "tests.benchmarks.large_scenes"
@@ -124,14 +125,16 @@ def child(path: pathlib.Path, resolution: int):
     import jax
     import numpy as np
 
-    from jaxrelight import Relighter, Settings, load_scene, precompute, write_image
+    from jaxrelight import load_scene, write_image
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
 
     start = time.perf_counter()
     scene = load_scene(path)
     read = time.perf_counter() - start
-    made = precompute(scene, Settings(resolution=resolution, coefficients=128), path.with_suffix(""))
+    made = precompute(scene, Transport("vertices", resolution=resolution, coefficients=128), path.with_suffix(""))
     start = time.perf_counter()
-    relighter = Relighter.open(made.folder)
+    relighter = open_store(made.folder)
     assert scene.environment is not None
     terms = relighter.light(scene.environment)
     view = relighter.view()

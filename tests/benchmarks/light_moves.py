@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from tests.benchmarks.large_scenes import CASES, scene_text
 from tests.benchmarks.measuring import Report, answer, interleaved, megabytes, percent, run_child, shared
 
@@ -224,8 +226,8 @@ def child(
         return
     scene = jr.load_scene(path)
     start = time.perf_counter()
-    settings = jr.Settings("pixels", gather_samples=samples, bounces=3, bits=8, tolerance=TOLERANCE)
-    made = jr.precompute(scene, settings, path.with_suffix(""))
+    settings = jr.Indirect(gather_samples=samples, bounces=3, bits=8, compression_tolerance=TOLERANCE)
+    made = precompute(scene, settings, path.with_suffix(""))
     told = {
         "triangles": sum(len(part.mesh.faces) for part in scene.parts),
         "precompute": time.perf_counter() - start,
@@ -258,7 +260,7 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
         "spot": lambda by: spot(np.add(above, by), target, [2 * intensity, 2 * intensity, 1.6 * intensity], 25.0, 18.0),
     }
     start = time.perf_counter()
-    transport = jr.load(folder)
+    transport = load(folder)
     relighter = IndirectRelighter(transport)
     first = relighter.image([kinds["point"](np.zeros(3))])
     opened = time.perf_counter() - start
@@ -267,7 +269,7 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     every = [cloud.between, *(operator for _, operator in transport.each)]
     clusters = [one.clusters() for one in every if isinstance(one, Clustered)]
     both = list(zip(clusters, every, strict=True))
-    spectrum = cloud_spectrum(cloud.points, transport.surfaces, transport.tracer, transport.settings.seed)
+    spectrum = cloud_spectrum(cloud.points, transport.surfaces, transport.tracer, transport.method.seed)
     by_rows = {}
     for counts in ROWS:
         rows = [as_rows(some, spectrum, counts[0 if i else 1]) for i, some in enumerate(clusters)]
@@ -362,7 +364,7 @@ def culled(relighter, blocks, g) -> list[tuple[float, float, float]]:
 
     def transform(culling: float):
         total, taken = g, 0
-        for _ in range(relighter.transport.settings.bounces - 1):
+        for _ in range(relighter.transport.method.bounces - 1):
             found, count = blocks[0].apply(relighter._encoded(total), culling)
             total, taken = g + relighter.albedo * found[relighter._slot], taken + count
         light = relighter._encoded(total)

@@ -7,6 +7,7 @@ import tempfile
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, percent, shared
 
 SCENE = "bunny_lambert"
@@ -38,12 +39,14 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, steps: int, p
     """Frames of every light with every share of its coefficients, with exact and with truncated rows."""
     import jax.numpy as jnp
 
-    from jaxrelight import Relighter, Settings, load_environment, load_scene, precompute
+    from jaxrelight import load_environment, load_scene
     from jaxrelight.lights.environment import coarsened
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    relighter = Relighter.open(
-        precompute(scene, Settings(resolution=resolution, coefficients=128), folder / SCENE).folder
+    relighter = open_store(
+        precompute(scene, Transport("vertices", resolution=resolution, coefficients=128), folder / SCENE).folder
     )
     exact, kept = rows(relighter.transport)
     lights = {
@@ -80,7 +83,7 @@ def rows(transport) -> tuple[np.ndarray, np.ndarray]:
     from jaxrelight.transport import bake
     from jaxrelight.transport.model import frames_of
 
-    directions = bake.directions_for(transport.settings.resolution)
+    directions = bake.directions_for(transport.method.resolution)
     generator = np.random.default_rng(SEED)
     whole, kept = [], []
     for block, operator in zip(transport.blocks, transport.operator.operators, strict=True):

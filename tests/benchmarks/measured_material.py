@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.reflection import Reflection
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, interleaved, megabytes, percent, shared
 from tests.benchmarks.pictures import contact_sheet
 
@@ -41,8 +42,10 @@ def main():
 def measure(report: Report, folder: pathlib.Path, size: int, quick: bool, picture: pathlib.Path | None):
     """A row for the table, for every fit and for every number of factors."""
     from fitting import Options, fit_lafortune
-    from jaxrelight import Relighter, exact, factor, image_error, load_scene, rebake
+    from jaxrelight import factor, image_error, load_scene
     from jaxrelight.brdf.files import load_brdf
+    from jaxrelight.lighting.transport import TransportRelighter
+    from jaxrelight.transport.rebake import exact, rebake
 
     table = load_brdf(shared("data", "brdf", MATERIAL)).brdf
     few = 1 if quick else None
@@ -58,13 +61,13 @@ def measure(report: Report, folder: pathlib.Path, size: int, quick: bool, pictur
     scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size, height=size))
     first = stored(scene, ways[0], folder)
     whole = exact(first[0].transport)
-    same = Relighter(whole).view()
-    truth = Relighter(whole).image(scene.environment, same, background=False)
+    same = TransportRelighter(whole).view()
+    truth = TransportRelighter(whole).image(scene.environment, same, background=False)
     shown, rows = {}, []
     for way in ways:
         relighter, made = first if way is ways[0] else stored(scene, way, folder)
         floor, own = whole.blocks[0], relighter.transport.blocks[1]
-        uncut = Relighter(rebake(whole, [floor.reflection, way.factors or own.reflection]))
+        uncut = TransportRelighter(rebake(whole, [floor.reflection, way.factors or own.reflection]))
         alone = uncut.image(scene.environment, same, background=False)
         view, light = relighter.view(), relighter.light(scene.environment)
         shown[way.name] = relighter.image(scene.environment, view, light, background=False)
@@ -123,13 +126,14 @@ class Way:
 
 def stored(scene, way: Way, folder: pathlib.Path):
     """(the scene precomputed with the material, what that took)."""
-    from jaxrelight import Relighter, Settings, precompute
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
 
     terms = way.factors.terms if way.factors else 1
-    settings = Settings(way.receivers, RESOLUTION, terms=terms, coefficients=COEFFICIENTS)
+    settings = Transport("vertices", way.receivers, RESOLUTION, terms=terms, coefficients=COEFFICIENTS)
     scene = dataclasses.replace(scene, materials={**scene.materials, "object": way.brdf})
     made = precompute(scene, settings, folder / way.receivers)
-    return Relighter.open(made.folder), made
+    return open_store(made.folder), made
 
 
 def _timed(make):

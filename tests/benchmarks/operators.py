@@ -12,6 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
+from jaxrelight.transport.rebake import exact
 from tests.benchmarks.clusters import _scene
 from tests.benchmarks.measuring import Report, Timing, interleaved, megabytes, percent, shared
 from tests.benchmarks.mesh_size import PAPER
@@ -70,21 +74,21 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, folde
     environments = [jr.load_environment(shared("data", "env", file)) for file in LIGHTS]
     made, relighters = {}, {}
     for label, dials in DIRECT.items():
-        settings = jr.Settings(resolution=resolution, terms=terms, **dials)
-        made[label] = jr.precompute(scene, settings, folder)
-        relighters[label] = jr.Relighter(jr.load(made[label].folder, made[label].header, made[label].placed))
+        settings = jr.Transport("vertices", resolution=resolution, terms=terms, **dials)
+        made[label] = precompute(scene, settings, folder)
+        relighters[label] = TransportRelighter(load(made[label].folder, made[label].header, made[label].placed))
     first = next(iter(relighters.values()))
     view = first.view()
-    exact = jr.Relighter(jr.exact(first.transport))
+    exact = TransportRelighter(exact(first.transport))
     wanted = [_surface(exact, one, view) for one in environments]
     clock = time.perf_counter()
     exact.light(environments[0])
     exact_seconds = time.perf_counter() - clock
     for label in ONE_BOUNCE:
-        settings = jr.Settings(resolution=resolution, terms=terms, bounces=1, **DIRECT[label])
+        settings = jr.Transport("vertices", resolution=resolution, terms=terms, bounces=1, **DIRECT[label])
         more = f"{label}, one bounce"
-        made[more] = jr.precompute(scene, settings, folder)
-        relighters[more] = jr.Relighter(jr.load(made[more].folder, made[more].header, made[more].placed))
+        made[more] = precompute(scene, settings, folder)
+        relighters[more] = TransportRelighter(load(made[more].folder, made[more].header, made[more].placed))
     lights, views = _times(relighters, environments[0], view, runs)
     shares = gpu_shares(relighters, environments[0], runs) if backend() == "gpu" else {}
     rows = []
@@ -169,7 +173,7 @@ def _pixels(environment, relighters):
 
     from jaxrelight.lights.environment import coarsened
 
-    resolution = next(iter(relighters.values())).transport.settings.resolution
+    resolution = next(iter(relighters.values())).transport.method.resolution
     return jnp.asarray(coarsened(environment.pixels, resolution))
 
 

@@ -7,6 +7,7 @@ import tempfile
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, percent, shared
 from tests.benchmarks.pictures import contact_sheet
 
@@ -107,18 +108,24 @@ def single_light(report: Report, scene, pictures: pathlib.Path | None):
 
 def environment_light(report: Report, scene, folder: pathlib.Path, resolution: int, pictures: pathlib.Path | None):
     """Figure 9: under an environment with shadows, from vertices, beside a grey diffuse BRDF."""
-    from jaxrelight import Relighter, Settings, exact, factor, image_error, lambert, precompute, rebake
+    from jaxrelight import factor, image_error, lambert
+    from jaxrelight.lighting.transport import TransportRelighter
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
+    from jaxrelight.transport.rebake import exact, rebake
 
     def relighter(receivers):
-        settings = Settings(receivers=receivers, resolution=resolution, terms=1, coefficients=1)
-        return Relighter(exact(Relighter.open(precompute(scene, settings, folder / receivers).folder).transport))
+        settings = Transport(receivers=receivers, resolution=resolution, terms=1, coefficients=1)
+        return TransportRelighter(exact(open_store(precompute(scene, settings, folder / receivers).folder).transport))
 
     pixels, vertices = relighter("pixels"), relighter("vertices")
     truth = pixels.image(scene.environment, pixels.view(), background=False)
     view, shown, rows = vertices.view(), {}, []
     ways = {"grey diffuse": factor(lambert([ANISOTROPIC["kd"]] * 3)), **factorings(scene.materials["object"])}
     for name, way in ways.items():
-        shown[name] = Relighter(rebake(vertices.transport, [way])).image(scene.environment, view, background=False)
+        shown[name] = TransportRelighter(rebake(vertices.transport, [way])).image(
+            scene.environment, view, background=False
+        )
         error = image_error(shown[name], truth)
         rows.append([name, percent(error.trimmed), percent(error.untrimmed), f"{error.mean_ratio:.3f}"])
     report.text(
@@ -133,23 +140,13 @@ def environment_light(report: Report, scene, folder: pathlib.Path, resolution: i
 
 def many_lights(report: Report, folder: pathlib.Path, quick: bool):
     """Which powers of the cosine to factor with: BRDFs, analytic and measured, on the bunny under every environment."""
-    from jaxrelight import (
-        Camera,
-        Part,
-        Relighter,
-        Scene,
-        Settings,
-        exact,
-        factor,
-        image_error,
-        load_brdf,
-        load_environment,
-        load_mesh,
-        precompute,
-        rebake,
-    )
+    from jaxrelight import Camera, Part, Scene, factor, image_error, load_brdf, load_environment, load_mesh
     from jaxrelight.brdf.reflection import FixedView
     from jaxrelight.geometry.mesh import normalized
+    from jaxrelight.lighting.transport import TransportRelighter
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
+    from jaxrelight.transport.rebake import exact, rebake
     from tests.benchmarks.factor_error import brdfs
 
     materials = brdfs(shared("data", "published", "lafortune_published.json"))
@@ -159,18 +156,18 @@ def many_lights(report: Report, folder: pathlib.Path, quick: bool):
     size, resolution = (16, 8) if quick else (72, 32)
     camera = Camera((0.3, 0.9, 2.3), (0.0, 0.45, 0.0), (0.0, 1.0, 0.0), 28.0, size, size)
     bunny = Part(normalized(load_mesh(shared("data", "mesh", "bunny_mitsuba.ply")), 1.0), "object")
-    settings = Settings("pixels", resolution, coefficients=1)
+    settings = Transport("pixels", resolution, coefficients=1)
     tables: dict[tuple, list] = {powers: [] for powers in COSINES}
     for brdf in materials.values():
         scene = Scene([bunny], {"object": brdf}, camera, name="bunny")
-        own = Relighter(exact(Relighter.open(precompute(scene, settings, folder / "many").folder).transport))
+        own = TransportRelighter(exact(open_store(precompute(scene, settings, folder / "many").folder).transport))
         view = own.view()
         truths = [own.image(light, view, background=False) for light in lights]
         assert isinstance(own.transport.blocks[0].reflection, FixedView)
         for powers, cells in tables.items():
             whole = factor(brdf, max(TERMS), cosine=powers)
             errors = {k: [] for k in (4, max(TERMS))}
-            way = Relighter(rebake(own.transport, [whole]))
+            way = TransportRelighter(rebake(own.transport, [whole]))
             for light, truth in zip(lights, truths, strict=True):
                 terms = way.light(light)
                 for k, found in errors.items():

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import (
     Report,
     Timing,
@@ -172,11 +173,13 @@ def relight_apart(scene: pathlib.Path, store: pathlib.Path, quick: bool) -> dict
 
 def precompute_child(path: pathlib.Path, terms: int, resolution: int, folder: pathlib.Path):
     """Precomputes in this process, and tells what it took."""
-    from jaxrelight import Settings, load_scene, precompute
+    from jaxrelight import load_scene
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
 
     scene = load_scene(path)
     start = time.perf_counter()
-    done = precompute(scene, Settings(terms=terms, resolution=resolution, coefficients=128), folder)
+    done = precompute(scene, Transport("vertices", terms=terms, resolution=resolution, coefficients=128), folder)
     wall = time.perf_counter() - start
     answer(
         {"seconds": done.seconds, "wall": wall, "rays": done.rays, "receivers": done.receivers, "bytes": done.nbytes}
@@ -188,12 +191,12 @@ def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
     import jax
     import jax.numpy as jnp
 
-    from jaxrelight import Relighter, load_scene
+    from jaxrelight import load_scene
 
     environment = load_scene(path).environment
     assert environment is not None
     start = time.perf_counter()
-    relighter = Relighter.open(folder)
+    relighter = open_store(folder)
     load = time.perf_counter() - start
 
     turns = iter(np.random.default_rng(0).uniform(0, 360, 10_000))
@@ -220,7 +223,7 @@ def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
 
     from jaxrelight.lights.environment import coarsened
 
-    pixels = jnp.asarray(coarsened(environment.pixels, relighter.transport.settings.resolution))
+    pixels = jnp.asarray(coarsened(environment.pixels, relighter.transport.method.resolution))
     vector = relighter.light_vector(pixels)
     sides = {
         "light": lambda: relighter.light(turned()),

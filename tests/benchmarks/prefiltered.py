@@ -203,7 +203,6 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
 def mips(pixels: np.ndarray):
     """The map at half the size, and so on, each by area; looked up like prefiltered maps."""
     from jaxrelight.basis import latlong
-    from jaxrelight.lights.prefiltered import Prefiltered
 
     heights = tuple(len(pixels) >> level for level in range(8))
     maps = [latlong.resized(pixels, height, 2 * height).reshape(-1, 3) for height in heights]
@@ -239,7 +238,6 @@ def _sampled(brdf, pixels, sky, count: int):
     """Estimates with lobe samples; of a lattice, which is nearer than random numbers."""
     from jaxrelight.basis import latlong
     from jaxrelight.brdf.lobe_sampling import LobeSampler
-    from jaxrelight.lights.prefiltered import Prefiltered
 
     # The generalised golden ratio in three dimensions.
     lattice = jnp.asarray(np.outer(np.arange(count) + 0.5, 1.2207440846057596 ** -np.arange(1, 4)) % 1, jnp.float32)

@@ -9,6 +9,7 @@ import tempfile
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, megabytes, percent, shared
 
 # Scene, cube-map resolution, target for the streamed image of pixel receivers.
@@ -144,12 +145,14 @@ def render(name: str, folder: pathlib.Path, **options) -> Made:
     """
     import time
 
-    from jaxrelight import Relighter, Settings, load_scene, precompute
+    from jaxrelight import load_scene
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
 
     scene = load_scene(shared("reference", f"{name}.toml"))
     assert scene.environment is not None
-    done = precompute(scene, Settings(**options), folder / f"{name.split('_')[0]}-{options['receivers']}")
-    relighter = Relighter.open(done.folder)
+    done = precompute(scene, Transport(**options), folder / f"{name.split('_')[0]}-{options['receivers']}")
+    relighter = open_store(done.folder)
     view = relighter.view()
     start = time.perf_counter()
     terms = [part.block_until_ready() for part in relighter.light(scene.environment)]

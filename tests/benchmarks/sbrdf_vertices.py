@@ -29,24 +29,28 @@ def main():
 
 def measure(report: Report, side: int, size: int, terms: tuple[int, ...]):
     """A row for every number of terms."""
-    from jaxrelight import Relighter, Settings, image_error, load, load_environment, precompute
+    from jaxrelight import image_error, load_environment
     from jaxrelight.geometry.subdivision import subdivided
+    from jaxrelight.lighting.transport import TransportRelighter
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.load import load
+    from jaxrelight.precomputation.precompute import precompute
     from tests.benchmarks.composed_cow import compose, cow, materials
 
     scene = cow([compose(materials(side), side)], size)
     alone = dataclasses.replace(scene.parts[0], mesh=subdivided(scene.parts[0].mesh, EDGE))
     scene = dataclasses.replace(scene, parts=[alone], lights=())
     skies = [load_environment(shared("data", "env", name)) for name in SKIES]
-    ways = {"pixels": Settings("pixels", resolution=RESOLUTION, coefficients="all")}
+    ways = {"pixels": Transport("pixels", resolution=RESOLUTION, coefficients="all")}
     for count in terms:
-        ways[f"K = {count}"] = Settings(
+        ways[f"K = {count}"] = Transport(
             "vertices", resolution=RESOLUTION, terms=count, coefficients=COEFFICIENTS, factor_resolution=48
         )
     truth, rows = [], []
     for name, settings in ways.items():
         with tempfile.TemporaryDirectory() as folder:
             made = precompute(scene, settings, pathlib.Path(folder))
-            relighter = Relighter(load(made.folder))
+            relighter = TransportRelighter(load(made.folder))
             view, lit = relighter.view(), relighter.light(skies[0])
             pictures = [relighter.image(sky, view, background=False) for sky in skies]
             if not truth:

@@ -8,6 +8,7 @@ import tempfile
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, percent, shared
 from tests.benchmarks.pictures import contact_sheet
 
@@ -38,7 +39,11 @@ def main():
 
 def measure(report: Report, folder: pathlib.Path, resolution: int, pictures: pathlib.Path | None):
     """Every light with every number of coefficients."""
-    from jaxrelight import Relighter, Settings, exact, image_error, load_environment, load_scene, precompute
+    from jaxrelight import image_error, load_environment, load_scene
+    from jaxrelight.lighting.transport import TransportRelighter
+    from jaxrelight.methods import Transport
+    from jaxrelight.precomputation.precompute import precompute
+    from jaxrelight.transport.rebake import exact
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
     lights = {
@@ -46,10 +51,10 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, pictures: pat
         "Grace": load_environment(shared("data", "env", "grace_latlong.exr"), scale=10),
         "sunset": load_environment(shared("data", "env", "blender_sunset.exr")),
     }
-    settings = Settings(receivers="pixels", resolution=resolution, coefficients=max(COUNTS))
-    most = Relighter.open(precompute(scene, settings, folder / SCENE).folder)
-    view, whole = most.view(), Relighter(exact(most.transport))
-    relighters = {count: Relighter(with_fewer(most.transport, count)) for count in COUNTS}
+    settings = Transport(receivers="pixels", resolution=resolution, coefficients=max(COUNTS))
+    most = open_store(precompute(scene, settings, folder / SCENE).folder)
+    view, whole = most.view(), TransportRelighter(exact(most.transport))
+    relighters = {count: TransportRelighter(with_fewer(most.transport, count)) for count in COUNTS}
     floor = np.zeros(view.covered.size, bool)
     number = most.transport.names.index("floor")
     pixels = np.asarray(view.materials[number].pixel)

@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight import Part, Scene
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.normal_maps import bent
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.geometry.surfaces import join
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.precompute import precompute
 
-SETTINGS = Settings("pixels", resolution=8, terms=2, coefficients="all", factor_resolution=12)
+SETTINGS = Transport("pixels", resolution=8, terms=2, coefficients="all", factor_resolution=12)
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 
 
@@ -56,9 +59,9 @@ def test_mirrored_texture_coordinates_turn_v_not_the_normal():
 def _picture(mesh, material, folder, receivers="pixels") -> np.ndarray:
     camera = jr.Camera((0.3, 1.5, 1.0), (0, 0, 0), fov_y=40, width=12, height=10)
     scene = Scene([Part(mesh, "it")], {"it": material}, camera)
-    made = jr.precompute(scene, dataclasses.replace(SETTINGS, receivers=receivers), folder)
+    made = precompute(scene, dataclasses.replace(SETTINGS, receivers=receivers), folder)
     assert len(made.notes) == (receivers == "vertices" and isinstance(material, Material))
-    relighter = Relighter.open(made.folder)
+    relighter = open_store(made.folder)
     return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
 
 

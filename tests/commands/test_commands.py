@@ -9,8 +9,9 @@ import sys
 import numpy as np
 import pytest
 
-from jaxrelight import Settings, cli, read_image, write_image
+from jaxrelight import cli, read_image, write_image
 from jaxrelight.files import store
+from jaxrelight.methods import Transport
 from jaxrelight.precomputation import layers as stages
 from tests.brdf.files import writers
 from tests.commands.running import DIALS, SCENE, refusal_of, summary_of
@@ -410,7 +411,7 @@ def test_damaged_store_is_one_line(folder, run, made):
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["quick", "own dials"])
 def test_demo(folder, run, monkeypatch, quick: bool):
     if quick:
-        small = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=8)
+        small = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=8)
         monkeypatch.setattr("jaxrelight.methods.Settings", lambda **_: small)
     summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     pictures = {path.name for path in (folder / "shown").glob("*.png")}

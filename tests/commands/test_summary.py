@@ -70,9 +70,9 @@ def test_keys(run, made, kind: str, arguments: list[str]):
 
 
 def test_keys_of_the_demo(folder, run, monkeypatch):
-    from jaxrelight import Settings
+    from jaxrelight.methods import Transport
 
-    small = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=8)
+    small = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=8)
     monkeypatch.setattr("jaxrelight.methods.Settings", lambda **_: small)
     found = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     assert _keys(found) == KEYS["demo"]

@@ -5,17 +5,21 @@ import functools
 
 import numpy as np
 import pytest
+from jaxrelight.lighting.adaptive.shader import AdaptiveShader
 
 import jaxrelight as jr
-from jaxrelight import Part, Relighter, Scene, Settings
-from jaxrelight.lighting.adaptive.shader import AdaptiveShader
+from jaxrelight import Part, Scene
 from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.lights.pyramid import light_pyramid
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from tests.compilations import compilations
 
 SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
-SETTINGS = Settings(resolution=8, terms=2, coefficients=24, factor_resolution=8)
+SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients=24, factor_resolution=8)
 
 
 def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:
@@ -23,9 +27,9 @@ def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:
     return Scene(parts, {"floor": jr.lambert([0.7, 0.6, 0.5]), "ball": jr.phong(0.2, 0.3, 6)}, camera, SKY)
 
 
-def _picture(scene: Scene, settings: Settings, folder) -> np.ndarray:
-    made = jr.precompute(scene, settings, folder)
-    relighter = Relighter(jr.load(made.folder, made.header))
+def _picture(scene: Scene, settings: Transport, folder) -> np.ndarray:
+    made = precompute(scene, settings, folder)
+    relighter = TransportRelighter(load(made.folder, made.header))
     return relighter.image(SKY, relighter.view())
 
 
@@ -47,8 +51,8 @@ def test_another_mesh_of_similar_size_compiles_nothing(tmp_path, receivers: str)
 
 
 def test_another_view_light_and_turn_compile_nothing(tmp_path):
-    made = jr.precompute(_scene(13, 30), SETTINGS, tmp_path)
-    relighter = Relighter(jr.load(made.folder, made.header))
+    made = precompute(_scene(13, 30), SETTINGS, tmp_path)
+    relighter = TransportRelighter(load(made.folder, made.header))
     first = relighter.image(SKY, relighter.view())
     with compilations() as compiled:
         brighter = jr.environment(SKY.pixels[::-1] + 1, rotate_y=50, scale=2.5)
@@ -59,8 +63,8 @@ def test_another_view_light_and_turn_compile_nothing(tmp_path):
 
 def test_another_sun_compiles_nothing(tmp_path):
     """Of however many texels: turned, it lies in more of them."""
-    made = jr.precompute(_scene(13, 30), SETTINGS, tmp_path)
-    relighter = Relighter(jr.load(made.folder, made.header))
+    made = precompute(_scene(13, 30), SETTINGS, tmp_path)
+    relighter = TransportRelighter(load(made.folder, made.header))
 
     def light(rows: int, turn: float):
         pixels = SKY.pixels.copy()

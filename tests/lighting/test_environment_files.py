@@ -6,6 +6,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.lights.environment import load_environment
+from jaxrelight.precomputation.precompute import precompute
 
 
 @pytest.fixture(scope="module")
@@ -14,8 +15,8 @@ def relighter(tmp_path_factory) -> jr.Relighter:
     camera = jr.Camera(origin=(0, 1.5, 3), target=(0, 0, 0), width=16, height=16)
     scene = jr.Scene(parts, {"paper": jr.lambert(0.5)}, camera)
     folder = tmp_path_factory.mktemp("store") / "store"
-    jr.precompute(scene, jr.Settings(resolution=8, coefficients=64), folder)
-    return jr.Relighter.open(folder)
+    precompute(scene, jr.Transport("vertices", resolution=8, coefficients=64), folder)
+    return jr.open_store(folder)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +91,7 @@ def test_a_strip_comes_back_from_a_store_as_the_map_it_was_made_to(tmp_path):
         part = jr.Part(jr.plane((1, 1), 1), "paper")
         scene = jr.Scene([part], {"paper": jr.lambert(0.5)}, jr.Camera((0, 2, 1), (0, 0, 0)), sky)
         folder = tmp_path / str(sky.pixels.shape[0])
-        jr.precompute(scene, jr.Settings(resolution=4, coefficients=8), folder)
+        precompute(scene, jr.Transport("vertices", resolution=4, coefficients=8), folder)
         stored = stored_environment(load(folder))
         assert stored is not None
         np.testing.assert_array_equal(stored.pixels, sky.pixels)

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Scene, Settings
+from jaxrelight import InputError, Part, Scene
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.gather.gather_cloud import gather_cloud
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lights.local import directional, point, spot
+from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation import cloud_layers as indirect
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from tests.gather.test_final_gather import kernel_at_parts
 
-SMALL = Settings("pixels", gather_samples=256, bounces=3, tolerance=0.0)
+SMALL = Indirect(gather_samples=256, bounces=3, compression_tolerance=0.0)
 CAMERA = jr.Camera((0, 0.05, 0.4), (0.1, -0.1, -1), fov_y=70.0, width=12, height=10)
 LAMP = point([0.1, 0.2, 0.05], [1.0, 0.8, 0.6])
 
@@ -37,8 +40,8 @@ def ball(material: str) -> Part:
 
 
 def opened(scene: Scene, folder, **dials) -> IndirectRelighter:
-    made = jr.precompute(scene, dataclasses.replace(SMALL, **dials), folder)
-    return IndirectRelighter(jr.load(made.folder, made.header, made.placed))
+    made = precompute(scene, dataclasses.replace(SMALL, **dials), folder)
+    return IndirectRelighter(load(made.folder, made.header, made.geometry))
 
 
 @pytest.fixture(scope="module")
@@ -144,10 +147,10 @@ def test_pictures_have_direct_light_of_several_samples(relighter):
 def test_what_is_there_is_used_again(scene, folder, relighter):
     """Other materials gather nothing anew: what is grey is theirs, too."""
     times = {path: path.stat().st_mtime_ns for path in folder.rglob("0*")}
-    made = jr.precompute(scene, SMALL, folder)
+    made = precompute(scene, SMALL, folder)
     assert made.rays == 0
     other = room([0.1, 0.2, 0.3], None, (ball("gloss"),), gloss=jr.phong(0.2, 0.5, 20.0))
-    made = jr.precompute(other, SMALL, folder)
+    made = precompute(other, SMALL, folder)
     assert made.rays == 0
     assert all(path.stat().st_mtime_ns == time for path, time in times.items())
     darker = np.asarray(opened(other, folder).indirect([LAMP])).sum()
@@ -159,13 +162,13 @@ def test_points_are_read_from_the_store_and_made_again_when_damaged(scene, folde
     monkeypatch.setattr(
         indirect, "gather_cloud", lambda *given, **dials: made.append(1) or gather_cloud(*given, **dials)
     )
-    header = jr.precompute(scene, SMALL, folder).header
+    header = precompute(scene, SMALL, folder).header
     assert not made
     (file,) = (folder / header["cloud"]).glob("0*")
     whole = file.read_bytes()
     for damaged in (whole[:-9], None):
         file.write_bytes(damaged) if damaged else file.unlink()
-        assert jr.precompute(scene, SMALL, folder).header == header
+        assert precompute(scene, SMALL, folder).header == header
         assert file.read_bytes() == whole
         times.append(len(made))
     assert times == [1, 2]
@@ -173,9 +176,9 @@ def test_points_are_read_from_the_store_and_made_again_when_damaged(scene, folde
 
 def test_stores_of_another_kind_are_refused(tmp_path):
     scene = Scene([Part(jr.plane((1, 1), 2), "wall")], {"wall": jr.lambert(0.5)}, jr.Camera((0, 1, 0.1), (0, 0, 0)))
-    jr.precompute(scene, Settings(resolution=4), tmp_path)
+    precompute(scene, Transport("vertices", resolution=4), tmp_path)
     with pytest.raises(InputError, match="a store for light of the sky"):
-        IndirectRelighter(jr.load(tmp_path))
+        IndirectRelighter(load(tmp_path))
 
 
 def test_more_bounces_than_precomputed_are_refused(scene, folder):
@@ -188,7 +191,7 @@ def test_more_bounces_than_precomputed_are_refused(scene, folder):
 def test_only_glossy_surfaces_tell_points_apart(tmp_path):
     """Of diffuse ones, neither rays nor stores depend on how finely peaks are split."""
     made = [
-        jr.precompute(room([0.7, 0.6, 0.5]), dataclasses.replace(SMALL, bounces=1, peak=peak), tmp_path / str(peak))
+        precompute(room([0.7, 0.6, 0.5]), dataclasses.replace(SMALL, bounces=1, peak=peak), tmp_path / str(peak))
         for peak in (1.0, 1e-3)
     ]
     assert made[0].rays == made[1].rays
@@ -198,9 +201,9 @@ def test_only_glossy_surfaces_tell_points_apart(tmp_path):
 
 def test_a_lost_group_of_one_part_of_a_material_comes_back_as_it_was(scene, folder, relighter):
     """What is gathered of a glossy material's diffuse part depends on the other, which is not lost."""
-    for record in jr.precompute(scene, SMALL, folder).header["materials"]:
+    for record in precompute(scene, SMALL, folder).header["materials"]:
         lost = max((folder / record["indirect"]).glob("0*"))
         content = lost.read_bytes()
         lost.unlink()
-        jr.precompute(scene, SMALL, folder)
+        precompute(scene, SMALL, folder)
         assert lost.read_bytes() == content

@@ -12,9 +12,7 @@ import pytest
 from jaxrelight import (
     Camera,
     Part,
-    Relighter,
     Scene,
-    Settings,
     ashikhmin_shirley,
     environment,
     image_error,
@@ -23,7 +21,6 @@ from jaxrelight import (
     lobe_sum,
     phong,
     plane,
-    precompute,
     read_image,
     sphere,
 )
@@ -35,9 +32,12 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lighting.prefiltered import Seen, SeenComponent, look_at, prefiltered_radiance, seen_component
+from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lights.local import directional, point
 from jaxrelight.lights.prefiltered import prefilter
+from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.precomputation.precompute import precompute
 from tests.shared_data import shared
 
 CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 24, 20)
@@ -93,7 +93,7 @@ def test_local_lights_with_shadows_are_those_of_another_renderer(name):
 def test_a_ball_is_lit_as_by_exact_transport_and_better_than_with_the_cosine_outside(tmp_path):
     light = environment(sky(), rotate_y=37, scale=2)
     scene = dataclasses.replace(ball(LAFORTUNE), environment=light)
-    exact = Relighter.open(precompute(scene, Settings("pixels", 32, coefficients="all"), tmp_path).folder)
+    exact = open_store(precompute(scene, Transport("pixels", 32, coefficients="all"), tmp_path).folder)
     truth = exact.image(light, exact.view(), background=False)
     seen, maps = look_at(scene), filtered()
     cut, outside = (

@@ -30,11 +30,11 @@ def lit(relighter):
 
 for coefficients in "shared", 48:
     folder = f"{sys.argv[1]}/{coefficients}"
-    jr.precompute(scene, jr.Settings(resolution=8, coefficients=coefficients), folder)
-    transport = jr.load(folder)
+    precompute(scene, jr.Transport("vertices", resolution=8, coefficients=coefficients), folder)
+    transport = load(folder)
     mesh = jax.make_mesh((4,), ("groups",))
     spread = dataclasses.replace(transport, operator=sharded(transport.operator, mesh))
-    one, many = lit(jr.Relighter(transport)), lit(jr.Relighter(spread))
+    one, many = lit(TransportRelighter(transport)), lit(TransportRelighter(spread))
     assert all(len(terms.sharding.device_set) == 4 for terms in many[0])
     for wanted, found in zip(*map(jax.tree.leaves, (one, many)), strict=True):
         assert wanted.shape == found.shape

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Scene, Settings
+from jaxrelight import InputError, Part, Scene
 from jaxrelight.basis import latlong
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lights.local import point
 from jaxrelight.lights.sky import even_sky, mean_radiance, nearest_directions, sky_of
+from jaxrelight.methods import Indirect
 from tests.lighting.test_indirect import opened, room
 
 CAMERA = jr.Camera((0, 0.6, 1.2), (0, 0.1, 0), fov_y=40.0, width=12, height=10)
@@ -104,7 +105,7 @@ def test_stores_without_a_sky_say_so(tmp_path):
 
 def test_photons_do_not_come_from_it():
     with pytest.raises(InputError, match="photons do not come from the sky"):
-        Settings("pixels", gather_samples=1024, bounces=2, photons=1000, sky=True)
+        Indirect(gather_samples=1024, bounces=2, photons=1000, sky=True)
 
 
 def test_in_a_closed_room_it_is_dark(tmp_path):

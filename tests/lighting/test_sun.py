@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight import Part, Scene
 from jaxrelight.geometry import mesh as meshes
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
+from jaxrelight.transport.rebake import exact
 
-SETTINGS = Settings(resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
+SETTINGS = Transport("vertices", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
 
 
 def _scene(block: str = "gloss") -> Scene:
@@ -32,7 +38,7 @@ def _sky(sun: float, low: float = 0.0) -> jr.Environment:
     return jr.environment(pixels, rotate_y=13.0, scale=0.5)
 
 
-def _terms(relighter: Relighter, sky: jr.Environment) -> np.ndarray:
+def _terms(relighter: TransportRelighter, sky: jr.Environment) -> np.ndarray:
     return np.concatenate([np.asarray(part).ravel() for part in relighter.light(sky)])
 
 
@@ -48,9 +54,9 @@ def _terms(relighter: Relighter, sky: jr.Environment) -> np.ndarray:
 )
 def test_a_sun_adds_no_error(tmp_path, change):
     """Nothing of a sun alone is left out; beside a sky, what is left out is of the sky."""
-    made = jr.precompute(_scene(), dataclasses.replace(SETTINGS, **change), tmp_path)
-    relighter = Relighter.open(made.folder)
-    exact = Relighter(jr.exact(relighter.transport))
+    made = precompute(_scene(), dataclasses.replace(SETTINGS, **change), tmp_path)
+    relighter = open_store(made.folder)
+    exact = TransportRelighter(exact(relighter.transport))
     alone = jr.environment(np.where(_sky(1e5).pixels > 2, _sky(1e5).pixels, 0))
     wanted = _terms(exact, alone)
     assert np.abs(wanted).max() > 1
@@ -70,8 +76,8 @@ def test_a_sun_bounces(tmp_path):
     settings = dataclasses.replace(SETTINGS, coefficients="shared", tolerance=0.0)
     pictures = []
     for bounces in (0, 1):
-        made = jr.precompute(_scene("paper"), dataclasses.replace(settings, bounces=bounces), tmp_path)
-        relighter = Relighter(jr.load(made.folder, made.header, made.placed))
+        made = precompute(_scene("paper"), dataclasses.replace(settings, bounces=bounces), tmp_path)
+        relighter = TransportRelighter(load(made.folder, made.header, made.geometry))
         sky = _sky(1e3)
         vector = relighter.light_vector(sky.pixels, sky.rotate_y, sky.scale)
         view = relighter.view()

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight import Part, Scene
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.geometry import mesh as meshes
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport.compression import padded_receivers
 
 SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
@@ -36,26 +40,28 @@ def _scene() -> Scene:
 
 
 @pytest.fixture(scope="module", params=["vertices", "pixels"])
-def relighter(request, tmp_path_factory) -> Relighter:
+def relighter(request, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("store")
-    jr.precompute(
-        _scene(), Settings(request.param, resolution=8, terms=2, coefficients=48, factor_resolution=12), folder
+    precompute(
+        _scene(),
+        Transport(request.param, resolution=8, terms=2, coefficients=48, factor_resolution=12),
+        folder,
     )
-    return Relighter.open(folder)
+    return open_store(folder)
 
 
 def _relative(found, wanted) -> float:
     return float(np.linalg.norm(np.subtract(found, wanted, dtype=float)) / np.linalg.norm(np.asarray(wanted, float)))
 
 
-def _surface(relighter: Relighter, environment, view=None) -> np.ndarray:
+def _surface(relighter: TransportRelighter, environment, view=None) -> np.ndarray:
     return relighter.image(environment, view or relighter.view(), background=False)[..., :3]
 
 
 # Linearity.
 
 
-def test_picture_is_linear_in_the_light(relighter: Relighter):
+def test_picture_is_linear_in_the_light(relighter: TransportRelighter):
     generator = np.random.default_rng(0)
     one, other = SKY, generator.random(SKY.shape).astype(np.float32)
     other[2, 3] = 300
@@ -66,7 +72,7 @@ def test_picture_is_linear_in_the_light(relighter: Relighter):
     assert _relative(pictures[2], 2.5 * pictures[0] + 0.3 * pictures[1]) < 1e-6
 
 
-def test_picture_is_linear_in_scale(relighter: Relighter):
+def test_picture_is_linear_in_scale(relighter: TransportRelighter):
     view = relighter.view()
     plain = _surface(relighter, jr.environment(SKY), view)
     for scale in (0.0, 1e-3, 7.0, 1e5):
@@ -75,12 +81,12 @@ def test_picture_is_linear_in_scale(relighter: Relighter):
         )
 
 
-def test_black_sky_gives_black(relighter: Relighter):
+def test_black_sky_gives_black(relighter: TransportRelighter):
     image = relighter.image(jr.environment(0 * SKY), relighter.view())
     assert not image[..., :3].any()
 
 
-def test_channels_do_not_mix(relighter: Relighter):
+def test_channels_do_not_mix(relighter: TransportRelighter):
     view = relighter.view()
     together = _surface(relighter, jr.environment(SKY), view)
     for c in range(3):
@@ -91,7 +97,7 @@ def test_channels_do_not_mix(relighter: Relighter):
         assert not np.delete(picture, c, axis=-1).any()
 
 
-def test_light_and_shade_make_the_picture(relighter: Relighter):
+def test_light_and_shade_make_the_picture(relighter: TransportRelighter):
     """What changes with the light is paid apart from what changes with the view."""
     environment, view = jr.environment(SKY, rotate_y=40, scale=2), relighter.view()
     terms = relighter.light(environment)
@@ -108,7 +114,7 @@ def test_light_and_shade_make_the_picture(relighter: Relighter):
     np.testing.assert_array_equal(given[view.covered][:, :3], np.asarray(relighter.shade(terms, view))[view.covered])
 
 
-def test_many_lights_are_each_by_itself(relighter: Relighter):
+def test_many_lights_are_each_by_itself(relighter: TransportRelighter):
     """A sky turned in steps, and another: each as it is alone, in all terms and in its picture."""
     turned = [jr.environment(SKY, rotate_y=degrees, scale=2) for degrees in (0, 30, 200)]
     environments = [*turned, jr.environment(SKY[::-1].repeat(2, axis=0).repeat(2, axis=1) + 1)]
@@ -129,9 +135,9 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(_up(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
     scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
-    settings = Settings(resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients)
-    jr.precompute(scene, settings, tmp_path)
-    relighter = Relighter.open(tmp_path)
+    settings = Transport("vertices", resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients)
+    precompute(scene, settings, tmp_path)
+    relighter = open_store(tmp_path)
     assert any(block.emitted is not None for block in relighter.transport.blocks)
     skies = [jr.environment(SKY), jr.environment(SKY, rotate_y=70)]
     many = relighter.light_many(skies)
@@ -140,7 +146,7 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
             np.testing.assert_allclose(np.asarray(found)[i], wanted, rtol=1e-5, atol=1e-5)
 
 
-def test_light_may_be_traced_first(relighter: Relighter):
+def test_light_may_be_traced_first(relighter: TransportRelighter):
     """Tables that are kept between calls hold nothing of the function that was being traced when they were made."""
     traced = jax.jit(lambda pixels: relighter.terms(relighter.light_vector(pixels, 20.0)))(SKY)
     for found, wanted in zip(traced, relighter.terms(relighter.light_vector(SKY, 20.0)), strict=True):
@@ -160,8 +166,8 @@ def test_white_furnace(tmp_path, receivers: str, mesh, radiance: float):
     """A white convex object under constant light cannot be told from its surroundings."""
     camera = jr.Camera((0.9, 1.1, 1.6), (0, 0, 0), fov_y=40, width=24, height=24)
     scene = Scene([Part(mesh, "white")], {"white": jr.lambert(1.0)}, camera)
-    jr.precompute(scene, Settings(receivers, resolution=32, coefficients="all"), tmp_path)
-    relighter = Relighter.open(tmp_path)
+    precompute(scene, Transport(receivers, resolution=32, coefficients="all"), tmp_path)
+    relighter = open_store(tmp_path)
     view = relighter.view()
     image = relighter.image(jr.environment(np.full((8, 16, 3), radiance)), view)
     assert 150 < view.covered.sum() < 450
@@ -172,8 +178,8 @@ def test_albedo_is_the_radiance_in_the_furnace(tmp_path):
     """Albedo 0.3 by channel and albedo 1 in one scene, kept coefficients: constant light is their average."""
     camera = jr.Camera((0, 0.3, 2), (0, 0, 0), fov_y=40, width=16, height=12)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert([0.3, 0.5, 1.0])}, camera)
-    jr.precompute(scene, Settings("pixels", resolution=8, coefficients=256), tmp_path)
-    relighter = Relighter.open(tmp_path)
+    precompute(scene, Transport("pixels", resolution=8, coefficients=256), tmp_path)
+    relighter = open_store(tmp_path)
     image = relighter.image(jr.environment(np.ones((8, 16, 3))), relighter.view())
     seen = image[image[..., 3] == 1][:, :3]
     np.testing.assert_allclose(seen, np.broadcast_to([0.3, 0.5, 1.0], seen.shape), rtol=0.01)
@@ -182,7 +188,7 @@ def test_albedo_is_the_radiance_in_the_furnace(tmp_path):
 # Rotation.
 
 
-def test_turning_the_sky_shifts_its_columns(relighter: Relighter):
+def test_turning_the_sky_shifts_its_columns(relighter: TransportRelighter):
     """Counter-clockwise seen from +y: what shone from +z (the middle) shines from +x (a quarter) after 90°."""
     view = relighter.view()
     turned = relighter.image(jr.environment(SKY, rotate_y=90), view)
@@ -198,8 +204,8 @@ def test_light_from_one_side_falls_on_that_side(tmp_path):
     sun[7:9, 7:9] = 100
     camera = jr.Camera((2, 1, -2), (0, 0, 0), fov_y=40, width=16, height=16)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert(0.5)}, camera)
-    jr.precompute(scene, Settings(resolution=8, coefficients=256), tmp_path)
-    relighter = Relighter.open(tmp_path)
+    precompute(scene, Transport("vertices", resolution=8, coefficients=256), tmp_path)
+    relighter = open_store(tmp_path)
     normals = jr.box((1, 1, 1), 1).normals
     slots = relighter.transport.receivers.slot_of
     for degrees, direction in ((0, (1, 0, 0)), (90, (0, 0, -1)), (180, (-1, 0, 0)), (270, (0, 0, 1))):
@@ -220,14 +226,14 @@ def test_turning_the_sky_is_turning_the_scene_back(tmp_path):
 
     camera = dataclasses.replace(scene.camera, origin=turned(scene.camera.origin), target=turned(scene.camera.target))
     parts = [dataclasses.replace(part, mesh=meshes.transformed(part.mesh, back)) for part in scene.parts]
-    settings = Settings("pixels", resolution=16, coefficients="all")
+    settings = Transport("pixels", resolution=16, coefficients="all")
     images = []
     for name, placed, degrees in (
         ("sky", scene, 90.0),
         ("scene", dataclasses.replace(scene, camera=camera, parts=parts), 0.0),
     ):
-        jr.precompute(placed, settings, tmp_path / name)
-        relighter = Relighter.open(tmp_path / name)
+        precompute(placed, settings, tmp_path / name)
+        relighter = open_store(tmp_path / name)
         images.append(relighter.image(jr.environment(SKY, rotate_y=degrees), relighter.view()))
     assert images[0][..., 3].mean() > 0.3
     # Rays that graze an edge may fall on either side of it: a texel of 1,536 in a receiver is 0.1 % of its light.
@@ -246,7 +252,7 @@ def _cells(camera: jr.Camera, height: int, width: int) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize("degrees", [0, 90, -45, -720])
-def test_background_shows_each_pixels_own_cell(relighter: Relighter, degrees: float):
+def test_background_shows_each_pixels_own_cell(relighter: TransportRelighter, degrees: float):
     numbered = np.arange(1, 129, dtype=np.float32).reshape(8, 16, 1) * np.array([1, 10, 100])
     environment = jr.environment(numbered, rotate_y=degrees, scale=0.5)
     view = relighter.view()
@@ -258,7 +264,7 @@ def test_background_shows_each_pixels_own_cell(relighter: Relighter, degrees: fl
     np.testing.assert_allclose(relighter.background(environment, view), expected, rtol=1e-6)
 
 
-def test_background_may_be_left_out(relighter: Relighter):
+def test_background_may_be_left_out(relighter: TransportRelighter):
     environment, view = jr.environment(SKY), relighter.view()
     shown, bare = (relighter.image(environment, view, background=background) for background in (True, False))
     assert shown.dtype == bare.dtype == np.float32
@@ -271,7 +277,7 @@ def test_background_may_be_left_out(relighter: Relighter):
     assert (bare[view.covered][:, :3] > 0).all()
 
 
-def test_sky_of_any_size_lights_the_same(relighter: Relighter):
+def test_sky_of_any_size_lights_the_same(relighter: TransportRelighter):
     """A map with every pixel doubled, or doubled until it is coarsened again, is the same light."""
     view = relighter.view()
     plain = _surface(relighter, jr.environment(SKY), view)

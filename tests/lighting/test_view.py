@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Relighter, Scene, Settings
+from jaxrelight import InputError, Part, Scene
 from jaxrelight.geometry import mesh as meshes
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.precompute import precompute
 
 SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(4, 8, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=14, height=12)
@@ -22,17 +26,17 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def free(scene, tmp_path_factory) -> Relighter:
+def free(scene, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("vertices")
-    jr.precompute(scene, Settings(resolution=8, coefficients=48), folder)
-    return Relighter.open(folder)
+    precompute(scene, Transport("vertices", resolution=8, coefficients=48), folder)
+    return open_store(folder)
 
 
 @pytest.fixture(scope="module")
-def fixed(scene, tmp_path_factory) -> Relighter:
+def fixed(scene, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("pixels")
-    jr.precompute(scene, Settings("pixels", resolution=8, coefficients=48), folder)
-    return Relighter.open(folder)
+    precompute(scene, Transport("pixels", resolution=8, coefficients=48), folder)
+    return open_store(folder)
 
 
 def _shown(view) -> np.ndarray:
@@ -66,7 +70,7 @@ def test_every_covered_pixel_belongs_to_one_material(request, receivers: str):
         np.testing.assert_allclose(np.linalg.norm(np.asarray(material.omega_o)[seen], axis=1), 1, atol=1e-6)
 
 
-def test_corners_lie_around_the_point_that_is_seen(free: Relighter):
+def test_corners_lie_around_the_point_that_is_seen(free: TransportRelighter):
     """Corner positions, weighed, lie on the pixel's ray."""
     view, transport = free.view(), free.transport
     directions = CAMERA.directions().reshape(-1, 3)
@@ -81,7 +85,7 @@ def test_corners_lie_around_the_point_that_is_seen(free: Relighter):
         np.testing.assert_allclose(towards, directions[np.asarray(material.pixel)[seen]], atol=1e-4)
 
 
-def test_other_camera_is_refused_where_receivers_are_pixels(fixed: Relighter):
+def test_other_camera_is_refused_where_receivers_are_pixels(fixed: TransportRelighter):
     for change in ({"origin": (0.3, 1.5, 2.2)}, {"fov_y": 46.0}, {"width": 15}):
         with pytest.raises(InputError, match="for other views precompute with --receivers vertices") as caught:
             fixed.view(dataclasses.replace(fixed.transport.camera, **change))
@@ -89,7 +93,7 @@ def test_other_camera_is_refused_where_receivers_are_pixels(fixed: Relighter):
     assert fixed.view(fixed.transport.camera).covered.any()
 
 
-def test_any_camera_is_allowed_where_receivers_are_vertices(free: Relighter):
+def test_any_camera_is_allowed_where_receivers_are_vertices(free: TransportRelighter):
     for origin in ((2, 1, 0), (0, 3, 0.1), (-1, 0.5, -2)):
         view = free.view(dataclasses.replace(CAMERA, origin=origin, width=9, height=7))
         image = free.image(SKY, view)
@@ -98,11 +102,11 @@ def test_any_camera_is_allowed_where_receivers_are_vertices(free: Relighter):
         assert view.covered.sum() > 0
 
 
-def test_own_camera_is_the_default(free: Relighter):
+def test_own_camera_is_the_default(free: TransportRelighter):
     np.testing.assert_array_equal(free.image(SKY, free.view()), free.image(SKY, free.view(CAMERA)))
 
 
-def test_diffuse_surface_looks_the_same_from_everywhere(free: Relighter):
+def test_diffuse_surface_looks_the_same_from_everywhere(free: TransportRelighter):
     """The floor's centre, straight through the middle of the image."""
     number = free.transport.names.index("floor")
     radiance = []
@@ -115,7 +119,7 @@ def test_diffuse_surface_looks_the_same_from_everywhere(free: Relighter):
 
 
 @pytest.mark.parametrize(("target", "visible"), [((0, -1.4, 0), "floor"), ((0.0, 2.2, 0), None)])
-def test_material_that_is_not_visible(free: Relighter, target, visible):
+def test_material_that_is_not_visible(free: TransportRelighter, target, visible):
     """A camera close to the floor that sees it alone, or looks over all: nothing is drawn of the others."""
     camera = jr.Camera((0.8, 1.0, 0.8), target, fov_y=10, width=6, height=5)
     if visible:
@@ -130,7 +134,7 @@ def test_material_that_is_not_visible(free: Relighter, target, visible):
     assert (image[..., :3] > 0).all()
 
 
-def test_camera_that_sees_nothing_shows_the_sky(free: Relighter):
+def test_camera_that_sees_nothing_shows_the_sky(free: TransportRelighter):
     camera = jr.Camera((0, 5, 0), (0, 9, 0.1), fov_y=60, width=8, height=6)
     view = free.view(camera)
     assert not view.covered.any()
@@ -141,7 +145,7 @@ def test_camera_that_sees_nothing_shows_the_sky(free: Relighter):
     assert not free.image(SKY, view, background=False).any()
 
 
-def test_back_of_a_surface_is_black(free: Relighter):
+def test_back_of_a_surface_is_black(free: TransportRelighter):
     """Surfaces are one-sided: the floor from below hides what is above it and gives nothing."""
     view = free.view(jr.Camera((0.1, -2, 0), (0, 0, 0), fov_y=20, width=5, height=5))
     assert view.covered.all()

@@ -84,7 +84,7 @@ find_resampling = functools.cache(latlong.area_resampling)
 
 
 def encoded(pixels, degrees=0.0, scale=1.0, basis: Any = TEXELS) -> np.ndarray:
-    """Texels of a 6×4² cube map, as `Relighter.light` finds them."""
+    """Texels of a 6×4² cube map, as `TransportRelighter.light` finds them."""
     pixels = coarsened(pixels, 4)
     resampling = find_resampling(*pixels.shape[:2], 4)
     return np.asarray(any_encode(pixels, np.float32(degrees), np.float32(scale), resampling, basis), float)

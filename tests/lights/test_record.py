@@ -10,6 +10,8 @@ from jaxrelight.lights.projector import projector
 from jaxrelight.lights.record import from_records, to_records
 from jaxrelight.lights.shaped import shaped
 from jaxrelight.lights.sky import even_sky
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 
 LIGHTS = (
     point([0, 1, 2], 3.0),
@@ -46,7 +48,7 @@ def test_a_store_keeps_the_lights_of_its_scene(tmp_path):
     floor = jr.Part(jr.plane((2, 2), 4), "floor")
     camera = jr.Camera((0, 1, 0.5), (0, 0, 0), width=6, height=5)
     scene = jr.Scene([floor], {"floor": jr.lambert(0.5)}, camera, lights=LIGHTS[:4])
-    jr.precompute(scene, jr.Settings("pixels", gather_samples=64, bounces=1), tmp_path)
-    found = jr.load(tmp_path).lights
+    precompute(scene, jr.Indirect(gather_samples=64, bounces=1), tmp_path)
+    found = load(tmp_path).lights
     assert [type(one) for one in found] == [type(one) for one in LIGHTS[:4]]
     np.testing.assert_array_equal(found[3].image, LIGHTS[3].image)

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Relighter, Scene, Settings
+from jaxrelight import InputError, Part, Scene
 from jaxrelight.basis import latlong
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factored import Factored
@@ -27,15 +27,20 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.files import store
 from jaxrelight.geometry import mesh as meshes
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.lights.environment import encode
+from jaxrelight.methods import Transport
 from jaxrelight.precomputation import layers as stages
-from jaxrelight.precomputation.load import stored_environment
+from jaxrelight.precomputation.load import load, stored_environment
 from jaxrelight.precomputation.material_rows import MaterialRows
+from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
+from jaxrelight.transport.rebake import exact, rebake
 from tests.operators.derivatives import check_derivatives, derivatives
 
 # One set of shapes for most of the file: compiling is what takes time here.
-SETTINGS = Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
 PIXELS = dataclasses.replace(SETTINGS, receivers="pixels")
 
 
@@ -48,7 +53,7 @@ def scene() -> Scene:
 def made(scene, tmp_path_factory) -> pathlib.Path:
     """The store of the scene, for vertices; not to be written to."""
     folder = tmp_path_factory.mktemp("made") / "store"
-    jr.precompute(scene, SETTINGS, folder)
+    precompute(scene, SETTINGS, folder)
     return folder
 
 
@@ -56,7 +61,7 @@ def made(scene, tmp_path_factory) -> pathlib.Path:
 def made_pixels(scene, tmp_path_factory) -> pathlib.Path:
     """The same for pixels."""
     folder = tmp_path_factory.mktemp("made_pixels") / "store"
-    jr.precompute(scene, PIXELS, folder)
+    precompute(scene, PIXELS, folder)
     return folder
 
 
@@ -81,7 +86,7 @@ def _layers(folder: pathlib.Path) -> set[str]:
 
 
 def _image(folder: pathlib.Path, scene: Scene) -> np.ndarray:
-    relighter = Relighter.open(folder)
+    relighter = open_store(folder)
     assert scene.environment is not None
     return relighter.image(scene.environment, relighter.view())
 
@@ -95,14 +100,14 @@ def _relative(found, wanted) -> float:
 
 def test_second_run_traces_nothing_and_changes_no_file(scene, copy):
     before = _files(copy)
-    summary = jr.precompute(scene, SETTINGS, copy)
+    summary = precompute(scene, SETTINGS, copy)
     assert summary.rays == 0
     assert _files(copy) == before
 
 
 def test_summary_tells_what_was_done(scene, tmp_path):
     reports = []
-    summary = jr.precompute(scene, SETTINGS, tmp_path / "store", lambda *report: reports.append(report))
+    summary = precompute(scene, SETTINGS, tmp_path / "store", lambda *report: reports.append(report))
     vertices = sum(len(part.mesh.vertices) for part in scene.parts)
     assert summary.receivers == vertices
     # Half of the directions are above a receiver, the copies that fill up groups included.
@@ -127,7 +132,7 @@ def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
     before, old = _files(copy), _layers(copy)
     darker = jr.phong([0.1, 0.1, 0.1], [0.4, 0.4, 0.4], 7.0)
     changed = dataclasses.replace(scene, materials={**scene.materials, "lacquer": darker})
-    summary = jr.precompute(changed, SETTINGS, copy)
+    summary = precompute(changed, SETTINGS, copy)
     assert summary.rays == 0
     after = _files(copy)
     assert all(after[name] == before[name] for name in before if name != "store.json")
@@ -135,10 +140,10 @@ def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
     assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
     # What was made is what a fresh store gets.
     fresh = tmp_path / "fresh"
-    jr.precompute(changed, SETTINGS, fresh)
+    precompute(changed, SETTINGS, fresh)
     assert _files(fresh).items() <= after.items()
     # And back: everything is there.
-    jr.precompute(scene, SETTINGS, copy)
+    precompute(scene, SETTINGS, copy)
     assert _files(copy) == {**after, "store.json": before["store.json"]}
 
 
@@ -146,7 +151,7 @@ def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tm
     shutil.copytree(made_pixels, tmp_path / "a")
     old = _layers(tmp_path / "a")
     dull = dataclasses.replace(scene, materials={**scene.materials, "lacquer": jr.phong(0.1, 0.4, 2.0)})
-    summary = jr.precompute(dull, PIXELS, tmp_path / "a")
+    summary = precompute(dull, PIXELS, tmp_path / "a")
     assert summary.rays == 0
     # The view is fixed: a glossy material needs no factors.
     assert [name.partition("-")[0] for name in _layers(tmp_path / "a") - old] == ["transport"]
@@ -162,8 +167,8 @@ def test_equal_materials_of_two_names_have_layers_of_their_own(tmp_path, receive
     one = dataclasses.replace(both, parts=[dataclasses.replace(part, material="gloss") for part in scene.parts])
     images = []
     for name, same in (("both", both), ("one", one)):
-        jr.precompute(same, settings, tmp_path / name)
-        relighter = Relighter.open(tmp_path / name)
+        precompute(same, settings, tmp_path / name)
+        relighter = open_store(tmp_path / name)
         images.append(np.asarray(relighter.shade(relighter.terms(light), relighter.view())))
     assert len(list((tmp_path / "both").glob("transport-*"))) == 2
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5, atol=1e-6)
@@ -177,7 +182,7 @@ def test_renamed_material_keeps_its_layers(scene, copy):
         parts=[dataclasses.replace(part, material=f"{part.material}_") for part in scene.parts],
         materials={f"{name}_": brdf for name, brdf in scene.materials.items()},
     )
-    assert jr.precompute(renamed, SETTINGS, copy).rays == 0
+    assert precompute(renamed, SETTINGS, copy).rays == 0
     assert _layers(copy) == old
 
 
@@ -202,22 +207,22 @@ def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, 
     materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
     scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
     settings = dataclasses.replace(SETTINGS, coefficients=8)
-    jr.precompute(scene, settings, tmp_path)
+    precompute(scene, settings, tmp_path)
     old = _layers(tmp_path)
     before = _files(tmp_path)
-    summary = jr.precompute(scene, dataclasses.replace(settings, **change), tmp_path)
+    summary = precompute(scene, dataclasses.replace(settings, **change), tmp_path)
     assert (summary.rays > 0) == traced
     assert {name.partition("-")[0] for name in _layers(tmp_path) - old} == new
     after = _files(tmp_path)
     assert all(after[name] == before[name] for name in before if name != "store.json")
-    assert Settings(**store.read_header(tmp_path)["settings"]) == dataclasses.replace(settings, **change)
+    assert Transport(**store.read_header(tmp_path)["settings"]) == dataclasses.replace(settings, **change)
 
 
 def test_other_camera_traces_anew_for_pixels_only(scene, copy, made_pixels, tmp_path):
     other = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, origin=(0.0, 1.1, 2.7)))
-    assert jr.precompute(other, SETTINGS, copy).rays == 0
+    assert precompute(other, SETTINGS, copy).rays == 0
     shutil.copytree(made_pixels, tmp_path / "pixels")
-    assert jr.precompute(other, PIXELS, tmp_path / "pixels").rays > 0
+    assert precompute(other, PIXELS, tmp_path / "pixels").rays > 0
 
 
 def test_other_geometry_traces_anew(scene, copy):
@@ -225,15 +230,15 @@ def test_other_geometry_traces_anew(scene, copy):
         return dataclasses.replace(mesh, vertices=mesh.vertices + np.array([0, 1e-6, 0]))
 
     parts = [dataclasses.replace(scene.parts[0], mesh=shifted(scene.parts[0].mesh)), *scene.parts[1:]]
-    assert jr.precompute(dataclasses.replace(scene, parts=parts), SETTINGS, copy).rays > 0
+    assert precompute(dataclasses.replace(scene, parts=parts), SETTINGS, copy).rays > 0
 
 
 def test_environment_is_not_part_of_the_keys(scene, copy):
     old = _layers(copy)
     sky = jr.environment(np.full((8, 16, 3), 0.25), rotate_y=20, scale=3)
-    jr.precompute(dataclasses.replace(scene, environment=sky), SETTINGS, copy)
+    precompute(dataclasses.replace(scene, environment=sky), SETTINGS, copy)
     assert _layers(copy) - old == {store.read_header(copy)["environment"]["pixels"]}
-    transport = jr.load(copy)
+    transport = load(copy)
     stored = stored_environment(transport)
     assert stored is not None
     np.testing.assert_array_equal(stored.pixels, sky.pixels)
@@ -241,7 +246,7 @@ def test_environment_is_not_part_of_the_keys(scene, copy):
 
 
 def test_equal_runs_make_equal_files(scene, made, tmp_path):
-    jr.precompute(scene, SETTINGS, tmp_path / "again")
+    precompute(scene, SETTINGS, tmp_path / "again")
     assert _files(tmp_path / "again") == _files(made)
 
 
@@ -251,13 +256,13 @@ def test_equal_runs_make_equal_files(scene, made, tmp_path):
 def test_camera_that_sees_nothing_has_no_pixels_to_precompute(scene, tmp_path):
     away = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, target=(0.7, 9.0, 9.0)))
     with pytest.raises(InputError, match="demo: the camera sees no surface"):
-        jr.precompute(away, PIXELS, tmp_path)
+        precompute(away, PIXELS, tmp_path)
 
 
 def test_store_that_is_a_file_is_refused(scene, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match="cannot be used as a store"):
-        jr.precompute(scene, SETTINGS, tmp_path / "file")
+        precompute(scene, SETTINGS, tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
 
 
@@ -265,10 +270,10 @@ def test_incomplete_store_is_refused(copy):
     layer = next(copy.glob("transport-*"))
     (layer / "000000").unlink()
     with pytest.raises(InputError, match=r"1 of [0-9]+ parts are missing; run precompute"):
-        jr.load(copy)
+        load(copy)
     (copy / "store.json").unlink()
     with pytest.raises(InputError, match="not a store, or its precomputation was not finished"):
-        jr.load(copy)
+        load(copy)
 
 
 @pytest.mark.parametrize("kind", ["geometry", "environment", "visibility", "factors", "transport"])
@@ -276,15 +281,15 @@ def test_missing_layer_is_refused_and_made_again(scene, made, copy, kind: str):
     for folder in copy.glob(f"{kind}-*"):
         shutil.rmtree(folder)
     with pytest.raises(InputError, match=f"{kind}-[0-9a-f]+: this layer is missing or damaged"):
-        jr.load(copy)
-    summary = jr.precompute(scene, SETTINGS, copy)
+        load(copy)
+    summary = precompute(scene, SETTINGS, copy)
     assert (summary.rays > 0) == (kind == "visibility")
     assert _files(copy) == _files(made)
 
 
 def _read_all(folder: pathlib.Path):
     """Everything that lighting, or exact lighting, reads of a store."""
-    transport = jr.load(folder)
+    transport = load(folder)
     stored_environment(transport)
     transport.visibility.read_all()
 
@@ -309,7 +314,7 @@ def test_flipped_bit_is_found_and_mended(scene, made, copy, name: str):
             _read_all(copy)
         assert str(copy) in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
-    summary = jr.precompute(scene, SETTINGS, copy)
+    summary = precompute(scene, SETTINGS, copy)
     groups = store.open_layer(next(copy.glob("visibility-*"))).groups
     assert (0 < summary.rays < 2 * 128 * 6 * 8**2) == (name == "group")
     assert groups > 2
@@ -330,7 +335,7 @@ def refuse(event, arguments):
 sys.addaudithook(refuse)
 from jaxrelight.precomputation.load import stored_environment
 from jaxrelight.precomputation.material_rows import MaterialRows
-relighter = jr.Relighter.open(folder)
+relighter = jr.open_store(folder)
 relighter.image(stored_environment(relighter.transport), relighter.view())
 try:
     open(folder + "/x", "w")
@@ -352,7 +357,7 @@ def test_disk_that_fills_up_is_told_and_gone_on_from(scene, made, tmp_path):
         "import jaxrelight",
         "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (12_000,) * 2)\nimport jaxrelight",
-    ).replace("jr.precompute(", "try:\n    jr.precompute(") + "\n".join(
+    ).replace("precompute(", "try:\n    precompute(") + "\n".join(
         ["", "except jr.InputError as error:", "    print(error)"]
     )
     code = code.replace('print("end", flush=True)\n', "")
@@ -365,7 +370,7 @@ def test_disk_that_fills_up_is_told_and_gone_on_from(scene, made, tmp_path):
     kept = _files(tmp_path / "store")
     assert kept
     assert kept.items() <= _files(made).items()
-    jr.precompute(scene, SETTINGS, tmp_path / "store")
+    precompute(scene, SETTINGS, tmp_path / "store")
     assert _files(tmp_path / "store") == _files(made)
 
 
@@ -390,11 +395,11 @@ def test_two_processes_at_once_share_the_work(made, tmp_path):
 
 def test_other_scene_in_the_same_store_meanwhile(scene, copy):
     """Whoever precomputed opens what it precomputed, though another process wrote another header."""
-    mine = jr.precompute(scene, SETTINGS, copy)
-    jr.precompute(dataclasses.replace(scene, environment=None), dataclasses.replace(SETTINGS, coefficients="all"), copy)
-    assert jr.load(copy).settings.coefficients == "all"
-    transport = jr.load(copy, mine.header)
-    assert transport.settings == SETTINGS
+    mine = precompute(scene, SETTINGS, copy)
+    precompute(dataclasses.replace(scene, environment=None), dataclasses.replace(SETTINGS, coefficients="all"), copy)
+    assert load(copy).settings.coefficients == "all"
+    transport = load(copy, mine.header)
+    assert transport.method == SETTINGS
     assert stored_environment(transport) is not None
 
 
@@ -415,13 +420,13 @@ def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
         patch.setattr(stages, "trace_visibility", fail)
         patch.setattr(os, "cpu_count", lambda: 1)
         with pytest.raises(InputError, match="disk full"):
-            jr.precompute(scene, SETTINGS, tmp_path / "store")
+            precompute(scene, SETTINGS, tmp_path / "store")
     with pytest.raises(InputError, match="not finished; run precompute"):
-        jr.load(tmp_path / "store")
+        load(tmp_path / "store")
     done = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).done
     assert len(done) == 4
-    whole = jr.precompute(scene, SETTINGS, tmp_path / "whole").rays
-    assert jr.precompute(scene, SETTINGS, tmp_path / "store").rays == whole - sum(traced)
+    whole = precompute(scene, SETTINGS, tmp_path / "whole").rays
+    assert precompute(scene, SETTINGS, tmp_path / "store").rays == whole - sum(traced)
     assert _files(tmp_path / "store") == _files(made)
 
 
@@ -429,10 +434,10 @@ CHILD = """
 import pathlib, sys
 import jaxrelight as jr
 from jaxrelight.scene.demo_scene import demo_scene
-settings = jr.Settings(resolution=8, terms=2, coefficients=32, factor_resolution=12)
+settings = jr.Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
 def report(*progress):
     print(*progress, flush=True)
-jr.precompute(demo_scene(detail=0.1, size=24), settings, pathlib.Path(sys.argv[1]), report)
+precompute(demo_scene(detail=0.1, size=24), settings, pathlib.Path(sys.argv[1]), report)
 print("end", flush=True)
 """
 
@@ -474,7 +479,7 @@ def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: in
         if line == "end":
             assert finished(folder) == _files(made)
     assert reached >= {"visibility"} if moments < 20 else {"visibility", "transport of stone", "end"}
-    jr.precompute(scene, SETTINGS, folder)
+    precompute(scene, SETTINGS, folder)
     assert finished(folder) == _files(made)
 
 
@@ -485,20 +490,22 @@ def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: in
 def test_all_coefficients_kept_is_all_of_them(tmp_path, receivers: str):
     scene, count = _small_scene(), 6 * SETTINGS.resolution**2
     settings = dataclasses.replace(SETTINGS, receivers=receivers, coefficients=count)
-    jr.precompute(scene, settings, tmp_path)
-    kept = jr.load(tmp_path)
-    jr.precompute(scene, dataclasses.replace(settings, coefficients="all"), tmp_path)
-    streamed = jr.load(tmp_path)
+    precompute(scene, settings, tmp_path)
+    kept = load(tmp_path)
+    precompute(scene, dataclasses.replace(settings, coefficients="all"), tmp_path)
+    streamed = load(tmp_path)
     assert kept.kept == pytest.approx(1, abs=1e-12)
     assert all(block.dropped is None for block in streamed.blocks)
     light = np.random.default_rng(0).gamma(0.3, size=(count, 3)).astype(np.float32)
     encoded = _encode(light.T).T
-    terms = [Relighter(t).terms(x) for t, x in ((kept, encoded), (streamed, light), (jr.exact(kept), light))]
+    terms = [
+        TransportRelighter(t).terms(x) for t, x in ((kept, encoded), (streamed, light), (rebake_exact(kept), light))
+    ]
     for part, wanted, exact in zip(*terms, strict=True):
         assert _relative(part, wanted) < 1e-5
         np.testing.assert_array_equal(wanted, exact)
     # Nor does baking again change what is streamed.
-    again = Relighter(jr.rebake(streamed, streamed.reflections)).terms(light)
+    again = TransportRelighter(rebake(streamed, streamed.reflections)).terms(light)
     for part, wanted in zip(again, terms[1], strict=True):
         np.testing.assert_array_equal(part, wanted)
 
@@ -521,7 +528,7 @@ def _encode(texels) -> np.ndarray:
 def test_error_never_exceeds_what_was_dropped(small):
     """|Tx − T'x| ≤ ‖x‖·√dropped for every row, and equal for the light that is the dropped row itself."""
     transport = small.transport
-    exact = jr.exact(transport)
+    exact = exact(transport)
     generator = np.random.default_rng(2)
     count, d, _ = transport.operator.shape
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
@@ -530,8 +537,8 @@ def test_error_never_exceeds_what_was_dropped(small):
 
     def error(light):
         light = light.astype(np.float32)
-        kept = Relighter(transport).terms(light)
-        whole = Relighter(exact).terms(np.asarray(_texels(light.T)).T)
+        kept = TransportRelighter(transport).terms(light)
+        whole = TransportRelighter(exact).terms(np.asarray(_texels(light.T)).T)
         receivers = [128 * len(block.groups) for block in transport.blocks]
         parts = [(np.asarray(a), np.asarray(b), count) for a, b, count in zip(kept, whole, receivers, strict=True)]
         return np.abs(np.concatenate([(a - b)[:count].reshape(-1, 3) for a, b, count in parts]))
@@ -555,24 +562,22 @@ def test_error_never_exceeds_what_was_dropped(small):
 
 def test_kept_energy_is_that_of_the_rows(small, tmp_path):
     transport = small.transport
-    jr.precompute(
-        _small_scene(), dataclasses.replace(transport.settings, coefficients=6 * SETTINGS.resolution**2), tmp_path
-    )
+    precompute(_small_scene(), dataclasses.replace(transport.method, coefficients=6 * SETTINGS.resolution**2), tmp_path)
 
     def energy(operators):
         return sum(float(np.square(part.values, dtype=float).sum()) * 3 / part.shape[2] for part in operators)
 
-    whole = energy(jr.load(tmp_path).operator.operators)
+    whole = energy(load(tmp_path).operator.operators)
     assert transport.kept == pytest.approx(energy(transport.operator.operators) / whole, abs=1e-6)
     assert 0.9 < transport.kept < 0.9999
-    for part, block in zip(jr.load(tmp_path).operator.operators, transport.blocks, strict=True):
+    for part, block in zip(load(tmp_path).operator.operators, transport.blocks, strict=True):
         assert block.dropped is not None
         assert block.dropped.shape == part.shape[::2]
 
 
 def test_rebake_gives_what_is_stored(small):
     transport = small.transport
-    again = jr.rebake(transport, transport.reflections).operator
+    again = rebake(transport, transport.reflections).operator
     for new, old in zip(again.operators, transport.operator.operators, strict=True):
         np.testing.assert_array_equal(new.indices, old.indices)
         for found, wanted in zip(new.values, old.values, strict=True):
@@ -589,7 +594,7 @@ def test_rebake_with_another_material_keeps_the_sets(small):
         lambda path, x: jax.device_put(np.asarray(x) * np.float32(2 if jax.tree_util.keystr(path) in linear else 1)),
         reflections[number],
     )
-    again = jr.rebake(transport, reflections).operator
+    again = rebake(transport, reflections).operator
     for i, (new, old) in enumerate(zip(again.operators, transport.operator.operators, strict=True)):
         np.testing.assert_array_equal(new.indices, old.indices)
         factor = 2 if i == number else 1
@@ -611,9 +616,9 @@ def test_vertices_and_pixels_agree_on_a_fine_mesh(tmp_path):
     sky = jr.environment(0.5 + generator.random((4, 8, 3)))
     images = {}
     for receivers in ("vertices", "pixels"):
-        settings = Settings(receivers, resolution=16, coefficients="all", visibility_samples=4)
-        jr.precompute(scene, settings, tmp_path / receivers)
-        relighter = Relighter.open(tmp_path / receivers)
+        settings = Transport(receivers, resolution=16, coefficients="all", visibility_samples=4)
+        precompute(scene, settings, tmp_path / receivers)
+        relighter = open_store(tmp_path / receivers)
         images[receivers] = relighter.image(sky, relighter.view(), background=False)
     paper = images["vertices"][..., 3] == 1
     # The ball is 6 quads wide and stands in the middle of the image.
@@ -646,7 +651,7 @@ def test_place_and_size_of_the_world_do_not_matter(request, scene, tmp_path, sca
     # Factors are copied: they know nothing of the world.
     for factors in plain.glob("factors-*"):
         shutil.copytree(factors, tmp_path / factors.name)
-    assert jr.precompute(other, settings, tmp_path).rays > 0
+    assert precompute(other, settings, tmp_path).rays > 0
     assert _relative(_image(tmp_path, other), _image(plain, scene)) < 1e-4
 
 
@@ -670,12 +675,12 @@ def _small_scene() -> Scene:
 
 
 @pytest.fixture(scope="module", params=["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
-def small(request, tmp_path_factory) -> Relighter:
+def small(request, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("small")
-    jr.precompute(_small_scene(), dataclasses.replace(SETTINGS, receivers=request.param), folder)
+    precompute(_small_scene(), dataclasses.replace(SETTINGS, receivers=request.param), folder)
     # Tables of the resampling are made once, here in float32.
     latlong.area_resampling(4, 8, SETTINGS.resolution)
-    return Relighter.open(folder)
+    return open_store(folder)
 
 
 @pytest.fixture(scope="module")
@@ -686,7 +691,7 @@ def sky() -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def lit(small: Relighter):
+def lit(small: TransportRelighter):
     """Environment pixels, rotation and scale → light vector and picture, and the derivatives of both."""
     view = small.view()
 
@@ -699,7 +704,7 @@ def lit(small: Relighter):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-def test_gradient_of_the_picture_in_the_light(small: Relighter, sky):
+def test_gradient_of_the_picture_in_the_light(small: TransportRelighter, sky):
     """Environment pixels → light vector → terms → picture, with rotation and scale."""
     view = small.view()
     resampling = latlong.area_resampling(4, 8, SETTINGS.resolution)
@@ -721,7 +726,7 @@ def _single(tree):
 
 
 @pytest.mark.parametrize("of", ["light vector", "picture"])
-def test_gradients_in_the_light_in_float32(small: Relighter, lit, sky, of):
+def test_gradients_in_the_light_in_float32(small: TransportRelighter, lit, sky, of):
     """As it is used: linear in pixels and scale, and in the rotation within a pixel's 45°."""
     generator, pixels = np.random.default_rng(0), _single(sky)
     shapes = (6 * SETTINGS.resolution**2, 3), (*small.view().shape, 3)
@@ -748,7 +753,7 @@ def test_gradients_in_the_light_in_float32(small: Relighter, lit, sky, of):
         assert found == pytest.approx(value(other, 10.0, 1.5), rel=1e-3)
 
 
-def test_gradients_are_finite_at_the_extremes(small: Relighter, lit):
+def test_gradients_are_finite_at_the_extremes(small: TransportRelighter, lit):
     """A black map, and one bright texel: of the sum of squares of the picture."""
     light = np.zeros((6 * SETTINGS.resolution**2, 3), np.float32)
     black = np.zeros((*small.view().shape, 3), np.float32)
@@ -763,7 +768,7 @@ def test_gradients_are_finite_at_the_extremes(small: Relighter, lit):
 
 
 @pytest.mark.usefixtures("x64")
-def test_gradient_of_the_picture_in_the_materials(small: Relighter):
+def test_gradient_of_the_picture_in_the_materials(small: TransportRelighter):
     """Lobe parameters where the view is fixed, factor maps where it is free, by baking again.
 
     Radiance of a diffuse surface is proportional to its albedo: its derivative is the picture itself.
@@ -781,7 +786,7 @@ def test_gradient_of_the_picture_in_the_materials(small: Relighter):
         reflections = list(transport.reflections)
         reflections[gloss] = FixedView(parameters, old.omega_o) if isinstance(old, FixedView) else parameters
         reflections[number] = Factored(paper.light_maps, albedo * paper.view_maps)
-        changed = Relighter(jr.rebake(transport, reflections))
+        changed = TransportRelighter(rebake(transport, reflections))
         return changed.shade(changed.terms(jnp.asarray(light)), view)
 
     arguments = parameters, np.array(1.0)
@@ -819,7 +824,7 @@ def _compiled():
 
 
 def test_nothing_is_traced_again_for_other_light_or_view(scene, made):
-    relighter = Relighter.open(made)
+    relighter = open_store(made)
     sky = scene.environment
 
     def picture(environment, camera):
@@ -842,17 +847,17 @@ def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
     """Materials are arguments of the programs that bake them: a changed one compiles nothing."""
     changed = {**scene.materials, "stone": jr.lambert(0.9), "floor": jr.lambert([0.1, 0.2, 0.3])}
     shutil.copytree(made, tmp_path / "store")
-    jr.precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), SETTINGS, tmp_path / "a")
+    precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), SETTINGS, tmp_path / "a")
     with _compiled() as found:
-        summary = jr.precompute(dataclasses.replace(scene, materials=changed), SETTINGS, tmp_path / "store")
+        summary = precompute(dataclasses.replace(scene, materials=changed), SETTINGS, tmp_path / "store")
     assert summary.rays == 0
     assert found == []
 
 
 def test_a_material_may_have_its_own_number_of_terms(tmp_path):
     scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 2})
-    jr.precompute(scene, dataclasses.replace(SETTINGS, terms=3), tmp_path)
-    transport = jr.load(tmp_path)
+    precompute(scene, dataclasses.replace(SETTINGS, terms=3), tmp_path)
+    transport = load(tmp_path)
     found = {name: reflection.terms for name, reflection in zip(transport.names, transport.reflections, strict=True)}
     assert found == {"paper": 1, "gloss": 2}
 
@@ -870,17 +875,17 @@ def test_a_damaged_header_is_one_line(copy, change):
     header = json.loads((copy / "store.json").read_text())
     (copy / "store.json").write_text(json.dumps({**header, **change}))
     with pytest.raises(jr.InputError, match="precompute") as caught:
-        jr.load(str(copy))
+        load(str(copy))
     assert "\n" not in str(caught.value)
 
 
 def test_the_scenes_own_camera_is_the_stores(scene, made_pixels):
-    assert jr.precompute(scene, PIXELS, str(made_pixels)).rays == 0
-    relighter = Relighter.open(str(made_pixels))
+    assert precompute(scene, PIXELS, str(made_pixels)).rays == 0
+    relighter = open_store(str(made_pixels))
     assert relighter.view(scene.camera).covered.any()
 
 
 def test_a_part_of_an_unknown_material_is_refused(tmp_path):
     scene = dataclasses.replace(_small_scene(), materials={})
     with pytest.raises(jr.InputError, match=r"paper|gloss"):
-        jr.precompute(scene, folder=tmp_path)
+        precompute(scene, folder=tmp_path)

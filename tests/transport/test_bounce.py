@@ -8,17 +8,23 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Relighter, Scene, Settings
+from jaxrelight import InputError, Part, Scene
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.reflection import of_group
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.methods import Transport
 from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport import bake, bounce
-from jaxrelight.transport.model import Transport, frames_of
+from jaxrelight.transport.model import PrecomputedTransport, frames_of
+from jaxrelight.transport.rebake import exact, rebake
 from tests.transport.scenes import ball_on_floor
 
-SMALL = Settings(resolution=8, terms=2, factor_resolution=12, tolerance=0.0, bounces=1, gather_resolution=8)
+SMALL = Transport(
+    "vertices", resolution=8, terms=2, factor_resolution=12, compression_tolerance=0.0, bounces=1, gather_resolution=8
+)
 ROOM = dataclasses.replace(SMALL, resolution=4, gather_resolution=16)
 UP: Any = np.array([0, 0, 1], np.float32)
 LIGHT: Any = np.random.default_rng(0).gamma(0.5, size=(6 * 8**2, 3)).astype(np.float32)
@@ -46,15 +52,15 @@ def radiance_at_vertices(transport: Transport) -> np.ndarray:
     return (block.emission + np.sum(block.emitted * view, axis=1))[transport.receivers.slot_of]
 
 
-def opened(scene: Scene, settings: Settings, folder) -> Transport:
-    made = jr.precompute(scene, settings, folder)
-    return load(made.folder, made.header, made.placed)
+def opened(scene: Scene, settings: Transport, folder) -> PrecomputedTransport:
+    made = precompute(scene, settings, folder)
+    return load(made.folder, made.header, made.geometry)
 
 
 def picture(transport: Transport, light: np.ndarray = LIGHT) -> np.ndarray:
     """Of the surfaces, under light over texels."""
-    relighter = Relighter(transport)
-    if transport.settings.coefficients != "all":
+    relighter = TransportRelighter(transport)
+    if transport.method.coefficients != "all":
         light = np.asarray(encoded(light.T)).T
     return np.asarray(relighter.shade(relighter.terms(light), relighter.view()))
 
@@ -72,7 +78,7 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def direct(scene, tmp_path_factory) -> Transport:
+def direct(scene, tmp_path_factory) -> PrecomputedTransport:
     return opened(scene, dataclasses.replace(SMALL, bounces=0), tmp_path_factory.mktemp("direct"))
 
 
@@ -85,9 +91,9 @@ def test_a_closed_box_is_its_series_at_each_bounce(tmp_path):
 
 def test_bounces_end_where_the_rest_is_below_the_tolerance(tmp_path):
     settings = dataclasses.replace(ROOM, bounces=50, tolerance=0.1)
-    made = jr.precompute(room(0.8, 3.0), settings, tmp_path)
-    transport = load(made.folder, made.header, made.placed)
-    assert transport.settings.bounces < 15
+    made = precompute(room(0.8, 3.0), settings, tmp_path)
+    transport = load(made.folder, made.header, made.geometry)
+    assert transport.method.bounces < 15
     assert "of 50 bounces were made" in made.notes[-1]
     found = radiance_at_vertices(transport)
     assert 3 / (1 - 0.8) * (1 - 0.1) < found.min() <= found.max() < 3 / (1 - 0.8)
@@ -165,7 +171,7 @@ def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, coeff
         transport = opened(scene, settings, tmp_path_factory.mktemp("rows"))
     gather = bounce.Gather(transport, "key", 8, nearest)
     light = np.random.default_rng(0).normal(size=(6 * 8**2, 3)).astype(np.float32)
-    terms = [np.asarray(part) for part in Relighter(transport).terms(light)]
+    terms = [np.asarray(part) for part in TransportRelighter(transport).terms(light)]
     for block in transport.blocks:
         frames, group = frames_of(transport.receivers, block.groups), int(block.groups[0])
         (found,) = gather.rows(transport.receivers, group, frames[0], [of_group(block.reflection, 0)])
@@ -228,24 +234,24 @@ def test_pixels_gather_from_vertices(scene, tmp_path, change):
 
 def test_what_is_there_is_used_again(tmp_path):
     scene = room(0.5)
-    first = jr.precompute(scene, dataclasses.replace(ROOM, bounces=2), tmp_path)
+    first = precompute(scene, dataclasses.replace(ROOM, bounces=2), tmp_path)
     times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
-    again = jr.precompute(scene, dataclasses.replace(ROOM, bounces=2), tmp_path)
+    again = precompute(scene, dataclasses.replace(ROOM, bounces=2), tmp_path)
     assert again.rays == 0
     assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
     assert again.header == first.header
-    less = jr.precompute(scene, dataclasses.replace(ROOM, bounces=1), tmp_path)
+    less = precompute(scene, dataclasses.replace(ROOM, bounces=1), tmp_path)
     assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
     assert len(less.header["passes"]) == 1
     # Another look around is another layer.
-    jr.precompute(scene, dataclasses.replace(ROOM, bounces=1, gather="nearest"), tmp_path)
+    precompute(scene, dataclasses.replace(ROOM, bounces=1, gather="nearest"), tmp_path)
     assert len(list(tmp_path.rglob("0*"))) > len(times)
 
 
 @pytest.mark.parametrize("albedo", [1.0, 1.2])
 def test_what_reflects_all_light_is_refused_before_any_ray(albedo, tmp_path):
     with pytest.raises(InputError, match=rf"material 'wall' reflects {albedo:.3f} of the light"):
-        jr.precompute(room(albedo), SMALL, tmp_path / "store")
+        precompute(room(albedo), SMALL, tmp_path / "store")
     assert not (tmp_path / "store").exists()
 
 
@@ -253,20 +259,20 @@ def test_terms_that_cannot_be_had_are_refused_before_any_ray(scene, tmp_path):
     """Those of pixels have one; but their bounces pass through vertices."""
     settings = dataclasses.replace(SMALL, receivers="pixels", terms=10_000)
     with pytest.raises(InputError, match="material 'lacquer': 10000 terms cannot be had"):
-        jr.precompute(scene, settings, tmp_path / "store")
+        precompute(scene, settings, tmp_path / "store")
     assert not (tmp_path / "store").exists()
 
 
 def test_bounced_light_cannot_be_baked_again(scene, tmp_path):
     transport = opened(scene, SMALL, tmp_path)
     with pytest.raises(InputError, match="precompute again"):
-        jr.rebake(transport, transport.reflections)
+        rebake(transport, transport.reflections)
 
 
 @pytest.mark.slow
 def test_exact_direct_light_keeps_bounced_light(scene, direct, tmp_path):
     """What is not compressed is the streamed rows; what was gathered stays beside them."""
     both = direct, opened(scene, SMALL, tmp_path)
-    pictures = [picture(each) for transport in both for each in (transport, jr.exact(transport))]
+    pictures = [picture(each) for transport in both for each in (transport, exact(transport))]
     assert relative(pictures[2], pictures[0]) > 0.01
     np.testing.assert_allclose(pictures[3] - pictures[1], pictures[2] - pictures[0], atol=1e-4)

@@ -8,19 +8,23 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Relighter, Settings
+from jaxrelight import InputError
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.reflection import of_group
 from jaxrelight.files import store
+from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.lights.natural_spectrum import natural_spectrum
+from jaxrelight.methods import Transport
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport import bake
-from jaxrelight.transport.model import Block, Transport, frames_of
+from jaxrelight.transport.model import Block, PrecomputedTransport, frames_of
+from jaxrelight.transport.rebake import rebake
 from tests.transport.scenes import ball_on_floor
 
-SMALL = Settings(resolution=8, terms=2, factor_resolution=12)
+SMALL = Transport("vertices", resolution=8, terms=2, factor_resolution=12)
 BASIS = HaarFaces(8)
 
 
@@ -34,9 +38,9 @@ def folder(scene, tmp_path_factory):
     return tmp_path_factory.mktemp("clusters") / "store"
 
 
-def opened(scene, folder, **dials) -> Transport:
-    made = jr.precompute(scene, dataclasses.replace(SMALL, **dials), folder)
-    return load(made.folder, made.header, made.placed)
+def opened(scene, folder, **dials) -> PrecomputedTransport:
+    made = precompute(scene, dataclasses.replace(SMALL, **dials), folder)
+    return load(made.folder, made.header, made.geometry)
 
 
 def whole_rows(transport: Transport, block: Block) -> np.ndarray:
@@ -96,7 +100,7 @@ def test_the_dropped_energy_is_that_of_the_rows(scene, folder):
 
 @pytest.mark.slow
 def test_light_is_differentiable_through_clusters(scene, folder):
-    relighter = Relighter(opened(scene, folder, tolerance=0.05))
+    relighter = TransportRelighter(opened(scene, folder, tolerance=0.05))
     light = np.random.default_rng(1).normal(size=(6 * 8**2, 3)).astype(np.float32)
     view = relighter.view()
 
@@ -112,14 +116,16 @@ def test_light_is_differentiable_through_clusters(scene, folder):
 @pytest.mark.slow
 def test_clusters_are_baked_again_as_rows_of_what_they_share(scene, folder):
     transport = opened(scene, folder, tolerance=0.0)
-    again = jr.rebake(transport, transport.reflections)
+    again = rebake(transport, transport.reflections)
     light = np.random.default_rng(2).normal(size=(6 * 8**2, 3)).astype(np.float32)
-    for before, after in zip(Relighter(transport).terms(light), Relighter(again).terms(light), strict=True):
+    for before, after in zip(
+        TransportRelighter(transport).terms(light), TransportRelighter(again).terms(light), strict=True
+    ):
         np.testing.assert_allclose(after, before, atol=2e-4 * np.abs(before).max())
 
 
 def test_indices_out_of_range_are_refused(scene, tmp_path):
-    made = jr.precompute(scene, SMALL, tmp_path / "store")
+    made = precompute(scene, SMALL, tmp_path / "store")
     name = made.header["materials"][0]["transport"]
     layer = store.open_layer(made.folder / name)
     arrays = next(layer.read_groups())
@@ -176,6 +182,6 @@ def test_bounces_are_gathered_from_codes(scene, folder):
     dials = {"tolerance": 0.02, "bounces": 1, "gather_resolution": 8}
     light = np.random.default_rng(4).normal(size=(6 * 8**2, 3)) * natural_spectrum(8)[:, None]
     light = light.astype(np.float32)
-    wanted, found = (Relighter(opened(scene, folder, bits=bits, **dials)).terms(light) for bits in (32, 8))
+    wanted, found = (TransportRelighter(opened(scene, folder, bits=bits, **dials)).terms(light) for bits in (32, 8))
     for one, other in zip(found, wanted, strict=True):
         assert np.linalg.norm(one - other) < 2e-2 * np.linalg.norm(other)

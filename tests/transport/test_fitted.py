@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Relighter, Settings
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.files.fitted import write_factors, write_lobes
 from jaxrelight.brdf.lobes import lobe, lobe_sum
 from jaxrelight.brdf.separable import separable
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.precompute import precompute
 
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 SCENE = """
@@ -42,15 +45,15 @@ def _scene(folder, kind: str, more: str = "") -> jr.Scene:
     return jr.load_scene(folder / "scene.toml")
 
 
-def _settings(receivers: str) -> Settings:
-    return Settings(receivers, resolution=8, coefficients="all", terms=2, factor_resolution=6)
+def _settings(receivers: str) -> Transport:
+    return Transport(receivers, resolution=8, coefficients="all", terms=2, factor_resolution=6)
 
 
-def _relighter(scene, receivers: str, folder) -> Relighter:
-    return Relighter.open(jr.precompute(scene, _settings(receivers), folder).folder)
+def _relighter(scene, receivers: str, folder) -> TransportRelighter:
+    return open_store(precompute(scene, _settings(receivers), folder).folder)
 
 
-def _radiance(relighter: Relighter) -> np.ndarray:
+def _radiance(relighter: TransportRelighter) -> np.ndarray:
     return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
 
 

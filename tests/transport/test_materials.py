@@ -9,20 +9,25 @@ import pytest
 from scipy import ndimage
 
 import jaxrelight as jr
-from jaxrelight import Part, Relighter, Scene, Settings
+from jaxrelight import Part, Scene
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.material import Component, Material, textured_lambert, textured_phong, white_lambert
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import OFFSET, Tracer
+from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.methods import Transport
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
 from tests.operators.derivatives import derivatives
 from tests.shared_data import shared
 
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 PIXELS = np.random.default_rng(7).random((6, 9, 3)).astype(np.float32)
 TEXTURE = Texture(jax.device_put(PIXELS))
-SETTINGS = Settings("vertices", resolution=8, terms=2, coefficients="all", factor_resolution=12)
+SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients="all", factor_resolution=12)
 
 
 def _scene(paper, gloss=None) -> Scene:
@@ -34,9 +39,9 @@ def _scene(paper, gloss=None) -> Scene:
     return Scene(parts, {"paper": paper, "gloss": gloss or jr.phong(0.2, 0.4, 6.0)}, camera)
 
 
-def _open(scene: Scene, folder, receivers: str = "vertices") -> Relighter:
+def _open(scene: Scene, folder, receivers: str = "vertices") -> TransportRelighter:
     settings = dataclasses.replace(SETTINGS, receivers=receivers)
-    return Relighter.open(jr.precompute(scene, settings, folder).folder)
+    return open_store(precompute(scene, settings, folder).folder)
 
 
 def _picture(scene: Scene, folder, receivers: str = "vertices") -> np.ndarray:
@@ -81,15 +86,15 @@ def test_a_texture_is_stored_apart_from_grey_transport_and_changing_it_bakes_not
     def layers(kind):
         return {path.name for path in tmp_path.glob(f"{kind}-*")}
 
-    jr.precompute(_scene(textured_lambert(TEXTURE)), settings, tmp_path)
+    precompute(_scene(textured_lambert(TEXTURE)), settings, tmp_path)
     before = {kind: layers(kind) for kind in ("geometry", "visibility", "transport", "factors", "texture")}
     other = textured_lambert(Texture(jax.device_put(PIXELS[::-1])))
-    assert jr.precompute(_scene(other), settings, tmp_path).rays == 0
+    assert precompute(_scene(other), settings, tmp_path).rays == 0
     assert {kind: layers(kind) for kind in before if kind != "texture"} == {
         kind: names for kind, names in before.items() if kind != "texture"
     }
     assert len(layers("texture")) == len(before["texture"]) + 1 == 2
-    transport = jr.load(tmp_path)
+    transport = load(tmp_path)
     paper = transport.names.index("paper")
     assert transport.operator.operators[paper].shape[2] == 1
     np.testing.assert_array_equal(transport.blocks[paper].weight[0].pixels, PIXELS[::-1])
@@ -121,7 +126,7 @@ def test_a_textured_material_needs_texture_coordinates(tmp_path):
     scene = _scene(textured_lambert(TEXTURE))
     bare = dataclasses.replace(scene.parts[0].mesh, uv=None)
     with pytest.raises(jr.InputError, match="has no texture coordinates, which its material 'paper' needs"):
-        jr.precompute(dataclasses.replace(scene, parts=[Part(bare, "paper")]), SETTINGS, tmp_path)
+        precompute(dataclasses.replace(scene, parts=[Part(bare, "paper")]), SETTINGS, tmp_path)
 
 
 def _brute_force(mesh, pixels, camera, resolution: int, light):
@@ -175,7 +180,7 @@ def test_white_furnace_of_both_sides(tmp_path, receivers, height):
     camera = jr.Camera((0.1, height, 0.3), (0, 0, 0), fov_y=30, width=8, height=8)
     settings = dataclasses.replace(SETTINGS, receivers=receivers, resolution=32)
     scene = Scene([Part(sheet, "white")], {"white": white_lambert()}, camera)
-    relighter = Relighter.open(jr.precompute(scene, settings, tmp_path).folder)
+    relighter = open_store(precompute(scene, settings, tmp_path).folder)
     view = relighter.view()
     assert view.covered.all()
     found = relighter.shade(relighter.terms(np.ones((6 * 32**2, 3), np.float32)), view)

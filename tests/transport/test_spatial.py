@@ -12,8 +12,9 @@ from jaxrelight.brdf.material import Component, Material, textured_lambert, whit
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.precomputation import layer_files
+from jaxrelight.precomputation.precompute import precompute
 
-SETTINGS = jr.Settings("pixels", resolution=8, coefficients="all")
+SETTINGS = jr.Transport("pixels", resolution=8, coefficients="all")
 LIGHT = np.random.default_rng(0).random((6 * 8**2, 3)).astype(np.float32)
 
 
@@ -24,8 +25,8 @@ def _scene(material) -> jr.Scene:
 
 def _seen_at(material, folder, settings):
     """Radiance of the surface under light over texels, where none is seen 0; how it was made."""
-    made = jr.precompute(_scene(material), settings, folder)
-    relighter = jr.Relighter.open(made.folder)
+    made = precompute(_scene(material), settings, folder)
+    relighter = jr.open_store(made.folder)
     return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view())), relighter, made
 
 
@@ -78,7 +79,7 @@ def test_every_pixel_has_the_lobes_at_its_own_place(tmp_path):
 
 # At vertices, by factors that all texels share.
 
-VERTICES = jr.Settings("vertices", resolution=8, coefficients="all", terms=40, factor_resolution=24)
+VERTICES = jr.Transport("vertices", resolution=8, coefficients="all", terms=40, factor_resolution=24)
 
 
 @pytest.mark.slow

@@ -7,16 +7,17 @@ compiled for each kind of BRDF.
 import functools
 from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt16
 
 from jaxrelight.lighting.adaptive.sampled import Sampled
-from jaxrelight.lighting.prefiltered import SurfacePixels
+from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lights.pyramid import LightPyramid
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.buckets import bucket
 from jaxrelight.numerics.random_numbers import MOST, even_numbers, shifts
 
 # Samples of a piece of work; counts are multiples of it.
@@ -29,6 +30,22 @@ _COVERED = 0.7
 
 # Whether something stands in the way of each ray: places of the pixels and world directions.
 Blocked = Callable[[Int[np.ndarray, " r"], Float[np.ndarray, "r 3"]], Bool[np.ndarray, " r"]]
+
+
+class SampleWork(eqx.Module):
+    """The samples of one component's pixels, in batches of one shape.
+
+    Attributes:
+        place: the pixel of every piece of work; past the end for filling.
+        first: the number of its first sample.
+        number: samples of each pixel in all.
+        visible: a bit for each sample of a piece, 1 where nothing hides its light; None without shadows.
+    """
+
+    place: Int[Array, "n b"]
+    first: Int[Array, "n b"]
+    number: Float[Array, " p"]
+    visible: UInt16[Array, "n b"] | None = None
 
 
 def estimate(
@@ -53,17 +70,10 @@ def estimate(
         blocked: casts shadows; None for none.
         report: hears of samples that are under way.
     """
-    runs = np.minimum(-(-np.asarray(counts) // RUN), MOST // RUN).astype(np.int64)
-    place = np.repeat(np.arange(len(runs), dtype=np.int32), runs)
-    first = ((np.arange(len(place)) - np.repeat(np.cumsum(runs) - runs, runs)) * RUN).astype(np.int32)
-    # Padding belongs to no pixel.
-    end = -(-len(place) // _BATCH) * _BATCH - len(place)
-    place, first = np.pad(place, (0, end), constant_values=len(runs)), np.pad(first, (0, end))
     dtype = jnp.result_type(light.radiance.values, pixels.omega_o)
-    number = as_array(runs * RUN, dtype)
-    total, waiting = as_array(np.zeros((len(runs), 3)), dtype), []
-    for start in range(0, len(place), _BATCH):
-        mine = place[start : start + _BATCH], first[start : start + _BATCH]
+    place, first, number = _listed(counts, dtype)
+    total, waiting = as_array(np.zeros((len(number), 3)), dtype), []
+    for mine in zip(place, first, strict=True):
         if report:
             # Work is handed out ahead of what is done; not by more than a batch.
             jax.block_until_ready(total)
@@ -82,26 +92,116 @@ def estimate(
     return _mean(total, number)
 
 
+def list_work(
+    part: Sampled,
+    pixels: SurfacePixels,
+    counts: Int[np.ndarray, " p"],
+    seed: int = 0,
+    blocked: Blocked | None = None,
+) -> SampleWork:
+    """The work of `estimate` with its shadow rays cast, so that `estimate_listed` needs nothing of the host.
+
+    Args:
+        part: a component.
+        pixels: any.
+        counts: samples of each, as `estimate` takes them.
+        seed: of the numbers that samples are drawn with.
+        blocked: casts shadows; None for none.
+    """
+    place, first, number = _listed(counts, pixels.omega_o.dtype)
+    # Few numbers of batches, each of which is compiled; filling is skipped.
+    batches = bucket(len(place), 8) if len(place) > 8 else len(place)
+    visible = None if blocked is None else np.zeros((batches, _BATCH), np.uint16)
+    if blocked is not None and visible is not None:
+        for batch, mine in enumerate(zip(place, first, strict=True)):
+            drawn = _directions(part, pixels, number, *mine, seed)
+            towards = np.asarray(_towards(part, pixels, mine[0], drawn))
+            open_to_light = _visible(blocked, mine[0], towards) > 0
+            visible[batch] = np.packbits(open_to_light, axis=1, bitorder="little").view(np.uint16)[:, 0]
+    filled = np.full((batches, _BATCH), len(number), np.int32), np.zeros((batches, _BATCH), np.int32)
+    for whole, some in zip(filled, (place, first), strict=True):
+        whole[: len(some)] = some
+    return SampleWork(*map(as_array, filled), number, None if visible is None else as_array(visible))
+
+
+@functools.partial(jax.jit, static_argnames="filtered")
+def estimate_listed(
+    part: Sampled, light: LightPyramid, pixels: SurfacePixels, work: SampleWork, seed: int = 0, filtered: bool = True
+) -> Float[Array, "p 3"]:
+    """`estimate` of listed work: pure, and differentiable in the light and the BRDF.
+
+    Args:
+        part: a component.
+        light: the environment.
+        pixels: as they were listed.
+        work: from `list_work`.
+        seed: as it was listed with.
+        filtered: as `estimate` takes it.
+    """
+    number = work.number
+
+    def add(total, place, first, visible):
+        drawn = _directions(part, pixels, number, place, first, seed)
+        given, _ = _pieces(part, light, pixels, number, place, drawn, filtered)
+        if visible is not None:
+            bits = (visible[:, None] >> jnp.arange(RUN, dtype=jnp.uint16)) & 1
+            given = given * bits[..., None].astype(given.dtype)
+        return total.at[place].add(jnp.sum(given, axis=1), mode="drop")
+
+    def step(total, batch):
+        place, *rest = batch
+        has_work = place[0] < len(number)
+        return jax.lax.cond(has_work, lambda: jax.checkpoint(add)(total, place, *rest), lambda: total), None
+
+    start = jnp.zeros((len(number), 3), jnp.result_type(light.radiance.values, pixels.omega_o))
+    total, _ = jax.lax.scan(step, start, (work.place, work.first, work.visible))
+    return _mean(total, number)
+
+
+def _listed(counts, dtype):
+    """Pieces of work in batches [n, _BATCH]: their pixels and first samples; and the samples of each pixel."""
+    runs = np.minimum(-(-np.asarray(counts) // RUN), MOST // RUN).astype(np.int64)
+    place = np.repeat(np.arange(len(runs), dtype=np.int32), runs)
+    first = ((np.arange(len(place)) - np.repeat(np.cumsum(runs) - runs, runs)) * RUN).astype(np.int32)
+    # Padding belongs to no pixel.
+    end = -(-len(place) // _BATCH) * _BATCH - len(place)
+    place, first = np.pad(place, (0, end), constant_values=len(runs)), np.pad(first, (0, end))
+    return place.reshape(-1, _BATCH), first.reshape(-1, _BATCH), as_array(runs * RUN, dtype)
+
+
 def _lit(total, blocked, place, given, towards):
-    return _summed(total, given, _visible(blocked, place, towards), place)
+    # Held fixed in derivatives, its numbers are known there, too.
+    towards = np.asarray(jax.lax.stop_gradient(towards))
+    return _summed(total, given, as_array(_visible(blocked, place, towards)), place)
 
 
-def _visible(blocked: Blocked, place, towards):
+def _visible(blocked: Blocked, place, towards) -> Float[np.ndarray, "k n"]:
     """1 for rays that nothing blocks."""
+    flat, point = towards.reshape(-1, 3), np.repeat(np.asarray(place), towards.shape[1])
+    x, y, z = flat.T
+    real = (x != 0) | (y != 0) | (z != 0)
+    visible = np.zeros(len(flat), np.float32)
+    visible[real] = ~blocked(*((point, flat) if real.all() else (point[real], flat[real])))
+    return visible.reshape(towards.shape[:2])
 
-    def traced(place, towards) -> Float[np.ndarray, "k n"]:
-        flat, point = np.asarray(towards).reshape(-1, 3), np.repeat(np.asarray(place), towards.shape[1])
-        x, y, z = flat.T
-        real = (x != 0) | (y != 0) | (z != 0)
-        found = np.zeros(len(flat), np.float32)
-        found[real] = ~blocked(*((point, flat) if real.all() else (point[real], flat[real])))
-        return found.reshape(towards.shape[:2])
 
-    if not isinstance(towards, Tracer):
-        # Called back, it would be compiled for every batch.
-        return traced(place, towards)
-    shape = jax.ShapeDtypeStruct(towards.shape[:2], np.float32)
-    return jax.pure_callback(traced, shape, place, jax.lax.stop_gradient(towards), vmap_method="sequential")
+@jax.jit
+def _towards(part, pixels, place, drawn):
+    """The world direction of each sample of each piece, 0 where it reflects nothing."""
+
+    def piece(given):
+        place, directions = given
+        frame, omega_o, uv, footprint, _ = _of(pixels, place)
+        point = part.towards(omega_o, uv, footprint)
+
+        def sample(direction):
+            drawn = point.weighed(*direction)
+            omega = jnp.sum(drawn.omega_i[:, None] * frame, axis=0)
+            return jnp.where((place < len(pixels.pixel)) & jnp.any(drawn.weight > 0), omega, 0)
+
+        return jax.vmap(sample)(directions)
+
+    return jax.vmap(piece)((place, drawn))
 
 
 @jax.jit

@@ -93,13 +93,13 @@ class Hierarchy(eqx.Module):
             self.asked, self.error, self.weights, *_within(self.asked, self.error, self.weights, tolerance)
         )
 
-    def filled(self, image: Float[Array, "h w c"]) -> Float[Array, "h w c"]:
+    def interpolate(self, image: Float[Array, "h w c"]) -> Float[Array, "h w c"]:
         """The image with what lies between shaded pixels; linear in them, and differentiable."""
-        return _filled(self.shaded, self.weights, image)
+        return _interpolate(self.shaded, self.weights, image)
 
-    def spread(self, variance: Float[Array, "h w"]) -> Float[Array, "h w"]:
+    def propagate_variance(self, variance: Float[Array, "h w"]) -> Float[Array, "h w"]:
         """Of each pixel, about the variance that those of shaded pixels leave in it."""
-        return _spread(self.shaded, self.weights, variance)
+        return _propagate_variance(self.shaded, self.weights, variance)
 
     def influence(self) -> Float[Array, "h w"]:
         """The factor on each shaded pixel's variance in the sum of all pixels'."""
@@ -333,7 +333,7 @@ def _levels(shape) -> Int[Array, "h w"]:
 
 
 @jax.jit
-def _filled(shaded, weights, image):
+def _interpolate(shaded, weights, image):
     return _passed(shaded, weights, jnp.where(shaded[..., None], image, 0), lambda own, between: between)
 
 
@@ -359,7 +359,7 @@ def _passed(shaded, weights, image, joined):
 
 
 @jax.jit
-def _spread(shaded, weights, variance):
+def _propagate_variance(shaded, weights, variance):
     """Noise of shaded parents is independent; that of parents which lie between the same pixels is alike."""
     both = jnp.stack([weights**2, jnp.abs(weights)], axis=1)
     own = jnp.where(shaded, variance, 0)
@@ -371,5 +371,5 @@ def _spread(shaded, weights, variance):
 @jax.jit
 def _influence(shaded, weights, asked):
     each = asked.astype(weights.dtype)
-    _, back = jax.vjp(lambda variance: _spread(shaded, weights, variance), jnp.zeros_like(each))
+    _, back = jax.vjp(lambda variance: _propagate_variance(shaded, weights, variance), jnp.zeros_like(each))
     return back(each)[0]

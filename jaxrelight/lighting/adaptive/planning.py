@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrelight.lighting.adaptive.estimate import RUN
 from jaxrelight.lighting.adaptive.hierarchy import Hierarchy
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.random_numbers import MOST
 
 # Errors between parents that are tried, and the first of them; 0 shades every pixel.
@@ -24,8 +26,7 @@ _FIRST = 8
 _OF_PREDICTED = 0.07
 
 
-@dataclasses.dataclass(frozen=True)
-class Layer:
+class Layer(eqx.Module):
     """What is shaded of the components with the same number in their materials.
 
     Images may have more rows and columns than the view, in which nothing is asked for.
@@ -39,10 +40,10 @@ class Layer:
     """
 
     between: Hierarchy
-    counts: Int[np.ndarray, "h w"]
+    counts: Int[Array, "h w"]
     bandwidth: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
-    power: float
+    power: Float[Array, ""]
 
     @property
     def error(self) -> Float[Array, "h w"]:
@@ -50,8 +51,7 @@ class Layer:
         return _error(self.between, self.counts, self.deviation, self.power)
 
 
-@dataclasses.dataclass(frozen=True)
-class Plan:
+class Plan(eqx.Module):
     """Where to shade, and how well.
 
     Attributes:
@@ -62,21 +62,21 @@ class Plan:
         shadows: whether surfaces hide the environment.
     """
 
-    shape: tuple[int, int]
+    shape: tuple[int, int] = eqx.field(static=True)
     layers: tuple[Layer, ...]
-    interpolation: float
-    noise: float
-    shadows: bool
+    interpolation: Float[Array, ""]
+    noise: Float[Array, ""]
+    shadows: bool = eqx.field(static=True)
 
     @property
     def samples(self) -> int:
         """Of all pixels and components."""
-        return sum(int(layer.counts.sum()) for layer in self.layers)
+        return sum(int(np.asarray(layer.counts).sum()) for layer in self.layers)
 
     @property
     def shaded(self) -> int:
         """How many pixels are, each component counted."""
-        return sum(int(np.count_nonzero(layer.counts)) for layer in self.layers)
+        return sum(int(np.count_nonzero(np.asarray(layer.counts))) for layer in self.layers)
 
     def maps(self) -> dict[str, Float[np.ndarray, "h w"]]:
         """Pictures of the plan, of all layers together.
@@ -88,15 +88,15 @@ class Plan:
             return {name: np.zeros(self.shape) for name in ("bandwidth", "level", "samples", "error")}
         layers, (rows, columns) = self.layers, self.shape
         found = {
-            "bandwidth": np.max([layer.bandwidth for layer in layers], axis=0),
+            "bandwidth": np.max([np.asarray(layer.bandwidth) for layer in layers], axis=0),
             "level": np.min([layer.between.levels() for layer in layers], axis=0).astype(float),
-            "samples": np.sum([layer.counts for layer in layers], axis=0).astype(float),
+            "samples": np.sum([np.asarray(layer.counts) for layer in layers], axis=0).astype(float),
             "error": np.sqrt(np.sum([np.asarray(layer.error, float) ** 2 for layer in layers], axis=0)),
         }
         return {name: image[:rows, :columns] for name, image in found.items()}
 
 
-class Asked(NamedTuple):
+class LayerEstimate(NamedTuple):
     """How one layer's pixels hang together, and how much of an error is seen; see `Layer` for the others."""
 
     number: int
@@ -106,8 +106,8 @@ class Asked(NamedTuple):
     bandwidth: Float[Array, "h w"]
 
 
-def planned(
-    asked: Sequence[Asked],
+def make_plan(
+    estimates: Sequence[LayerEstimate],
     power: float,
     shape: tuple[int, int],
     pixels: int,
@@ -119,7 +119,7 @@ def planned(
     """The plan of a budget or of a quality.
 
     Args:
-        asked: of each layer.
+        estimates: of each layer.
         power: of the number of samples, by which error² falls.
         shape: rows and columns of the view.
         pixels: of those, how many show a surface.
@@ -133,7 +133,7 @@ def planned(
     def cost(step: int) -> float:
         """The error of a budget, or the budget of an error."""
         if step not in tried:
-            layers = [_candidate(one, _TOLERANCES[step], power) for one in asked]
+            layers = [_candidate(one, _TOLERANCES[step], power) for one in estimates]
             tried[step] = _Candidate(
                 layers,
                 sum(layer.error for layer in layers) / pixels,
@@ -154,11 +154,11 @@ def planned(
     best = tried[step]
     counts = _counts([(layer.wanted, layer.between.shaded) for layer in best.layers], best.budget)
     layers = [
-        Layer(layer.between, each, one.bandwidth, one.deviation, power)
-        for one, layer, each in zip(asked, best.layers, counts, strict=True)
+        Layer(layer.between, as_array(each), one.bandwidth, one.deviation, as_array(power, np.float32))
+        for one, layer, each in zip(estimates, best.layers, counts, strict=True)
     ]
     between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
-    return Plan(shape, tuple(layers), between, noisy, shadows)
+    return Plan(shape, tuple(layers), as_array(between, np.float32), as_array(noisy, np.float32), shadows)
 
 
 class _CandidateLayer(NamedTuple):
@@ -224,9 +224,9 @@ class _Candidate:
         return self.error + self.error_of(self.budget) if self.least <= self.given else 1e6 + self.least
 
 
-def _candidate(asked: Asked, tolerance: float, power: float) -> _CandidateLayer:
-    between = asked.between.within(tolerance)
-    wanted, error, spread, shaded = _work(between, between.influence(), asked.deviation, power)
+def _candidate(estimate: LayerEstimate, tolerance: float, power: float) -> _CandidateLayer:
+    between = estimate.between.within(tolerance)
+    wanted, error, spread, shaded = _work(between, between.influence(), estimate.deviation, power)
     return _CandidateLayer(between, wanted, float(error), float(spread), int(shaded))
 
 
@@ -258,4 +258,4 @@ def _work(between, influence, deviation, power):
 @jax.jit
 def _error(between: Hierarchy, counts, deviation, power):
     noise = deviation**2 * jnp.maximum(counts, 1.0) ** -power
-    return jnp.sqrt(between.spread(noise) + (_OF_PREDICTED * between.left) ** 2)
+    return jnp.sqrt(between.propagate_variance(noise) + (_OF_PREDICTED * between.left) ** 2)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.lighting.adaptive.local_bandwidth import Bandwidth, reflected, travelled
 from jaxrelight.lighting.adaptive.sampled import Sampled
-from jaxrelight.lighting.prefiltered import SurfacePixels
+from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lights.pyramid import LightPyramid
 from jaxrelight.numerics.random_numbers import even_numbers
 

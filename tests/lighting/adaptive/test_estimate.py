@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxrelight.lighting.adaptive.shader import estimate as estimating
 
 from jaxrelight import (
     Camera,
@@ -28,7 +29,6 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.lighting.adaptive.estimate import RUN, estimate
 from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
-from jaxrelight.lighting.adaptive.shader import estimate as estimating
 from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
 from jaxrelight.lights.pyramid import LightPyramid, cells, light_pyramid
 from jaxrelight.numerics.arrays import as_array

@@ -1,0 +1,405 @@
+"""Shading where bandwidth asks, with as many samples as noise asks (Bagher 2011): nothing is precomputed for a mesh.
+
+A few samples of each pixel predict how its light varies. From that follow the pixels that are shaded, the samples that
+each of them gets, and the weights by which all others lie between them. Components of a material are shaded apart and
+multiplied by its textures in every pixel, so textures never ask for shading.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrelight.brdf.texture import Weight
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate, estimate_listed, list_work
+from jaxrelight.lighting.adaptive.layer_estimates import calibrate, estimate_layer, looked_up
+from jaxrelight.lighting.adaptive.planning import Plan, make_plan
+from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw, predict
+from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
+from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
+from jaxrelight.lighting.antialiasing import averaged
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
+from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
+from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.lights import Lights, LightsLike, as_lights
+from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
+from jaxrelight.methods import Adaptive
+from jaxrelight.numerics.arrays import is_traced
+from jaxrelight.transport.model import SceneGeometry
+
+# Samples that predict a pixel: pictures are no better by the paper's 16, and 0.1 dB better by 1,024.
+PREDICTING_SAMPLES = 8
+# Where neither samples nor a tolerance are given.
+DEFAULT_TOLERANCE = 0.01
+
+
+class SampledComponent(eqx.Module):
+    """One BRDF of a material with what draws directions for it, and the factor on it."""
+
+    sampler: Sampled
+    weight: Weight
+
+
+class SampledMaterial(eqx.Module):
+    """A material whose BRDFs can be sampled.
+
+    Attributes:
+        name: of the material.
+        components: what it combines.
+        emission: radiance that it emits; None for none.
+    """
+
+    name: str = eqx.field(static=True)
+    components: tuple[SampledComponent, ...]
+    emission: Float[Array, "3"] | None = None
+
+    def unsampled(self) -> SurfaceMaterial:
+        """The material alone."""
+        components = tuple(SurfaceComponent(one.sampler.brdf, one.weight) for one in self.components)
+        return SurfaceMaterial(self.name, components, self.emission)
+
+
+def sampled_materials(
+    materials: Sequence[SurfaceMaterial], report: Report | None = None
+) -> tuple[SampledMaterial, ...]:
+    """Finds what draws directions for every BRDF; seconds for one that is no sum of lobes."""
+    brdfs = {id(one.brdf): one.brdf for material in materials for one in material.components}
+    samplers: dict[int, Sampled] = {}
+    for done, (key, brdf) in enumerate(brdfs.items()):
+        if report:
+            report("materials", done, len(brdfs))
+        samplers[key] = sampled(brdf)
+    return tuple(
+        SampledMaterial(
+            material.name,
+            tuple(SampledComponent(samplers[id(one.brdf)], one.weight) for one in material.components),
+            material.emission,
+        )
+        for material in materials
+    )
+
+
+class AdaptiveLight(NamedTuple):
+    """Light as `AdaptiveRelighter` takes it.
+
+    Attributes:
+        environment: None for none.
+        pyramid: of it, as samples see it; its sun is among the groups.
+        groups: local lights, and the environment's sun.
+    """
+
+    environment: Environment | None
+    pyramid: LightPyramid | None
+    groups: tuple[LightGroup, ...]
+
+
+class AdaptiveTraced(NamedTuple):
+    """What depends on light and view together.
+
+    Attributes:
+        plan: where to shade, and how often; None without an environment.
+        work: of each layer of the plan and each part of the view, its samples with their shadow rays; None where there
+            is none, or where `shade` casts them as it goes.
+        visibility: of the groups of lights.
+    """
+
+    plan: Plan | None
+    work: tuple[tuple[SampleWork | None, ...], ...] | None
+    visibility: Visibility
+
+
+class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
+    """Lights a scene by samples of its environment, and by local lights; see `Adaptive` for the dials."""
+
+    sampled_materials: tuple[SampledMaterial, ...]
+    own_lights: Lights
+    method: Adaptive = eqx.field(static=True)
+    camera: Camera = eqx.field(static=True)
+    geometry: SceneGeometry = eqx.field(static=True)
+
+    @property
+    def materials(self) -> tuple[SurfaceMaterial, ...]:
+        """The materials without what draws directions for them."""
+        return tuple(
+            SurfaceMaterial(
+                one.name,
+                tuple(SurfaceComponent(part.sampler.brdf, part.weight) for part in one.components),
+                one.emission,
+            )
+            for one in self.sampled_materials
+        )
+
+    def scene_lights(self) -> Lights:
+        """The scene's own lights."""
+        return self.own_lights
+
+    def view(self, camera: Camera | None = None) -> AdaptiveView:
+        """What a camera sees; by default the scene's. Traces its rays on the host."""
+        return make_view(self.geometry, camera or self.camera, self.materials, self.method.samples_per_side)
+
+    def light(self, lights: LightsLike) -> AdaptiveLight:
+        """Means of the environment over ever larger cells; its sun joins the local lights."""
+        lights = as_lights(lights)
+        if lights.environment is None:
+            return AdaptiveLight(None, None, group_lights(lights.local))
+        pyramid = light_pyramid(lights.environment)
+        # It comes from a few directions: no sample would find them.
+        local = [*lights.local, *([pyramid.sun] if len(pyramid.sun.directions) else [])]
+        return AdaptiveLight(lights.environment, pyramid, group_lights(local))
+
+    def trace(self, lit: AdaptiveLight, view: AdaptiveView, *, report: Report | None = None) -> AdaptiveTraced:
+        """The plan of samples, and all shadow rays: those of samples, and towards local lights.
+
+        Args:
+            lit: from `light`.
+            view: from `view`.
+            report: called with the progress.
+
+        Raises:
+            InputError: inside of jit under an environment, as a plan's size follows from the light's values.
+        """
+        visibility = self._visibility(lit, view)
+        if lit.pyramid is None:
+            return AdaptiveTraced(None, None, visibility)
+        plan = self.plan(lit, view, report=report)
+        heard, layers = _Progress(report, plan.samples) if report else None, []
+        for number, layer in enumerate(plan.layers):
+            work, counts = [], np.asarray(layer.counts)
+            for part, components in enumerate(self._components(view)):
+                if number >= len(components):
+                    work.append(None)
+                    continue
+                mine = view.of_part(part, counts)
+                pixels, blocked = view.surfaces.parts[part].pixels, self._blocked(view, part)
+                work.append(list_work(components[number].sampler, pixels, mine, self.method.seed, blocked))
+                if heard:
+                    heard(int(mine.sum()))
+            layers.append(tuple(work))
+        return AdaptiveTraced(plan, tuple(layers), visibility)
+
+    def shade(
+        self,
+        lit: AdaptiveLight,
+        view: AdaptiveView,
+        traced: AdaptiveTraced | None = None,
+        *,
+        report: Report | None = None,
+    ) -> Image:
+        """The picture by the plan's samples, and what lies between them.
+
+        `measured` has the plan, with the errors that it predicts.
+
+        Differentiable in the light and in BRDFs, whose samples stay where they are.
+
+        Args:
+            lit: from `light`; a plan made for another light serves, too.
+            view: from `view`.
+            traced: from `trace`. Where it is left out, samples are drawn and their rays cast together, which is quicker
+                for a single picture.
+            report: called with the progress.
+        """
+        if traced is None:
+            plan = None if lit.pyramid is None else self.plan(lit, view, report=report)
+            traced = AdaptiveTraced(plan, None, self._visibility(lit, view))
+        surfaces, plan = view.surfaces, traced.plan
+        radiance, measured = surfaces.image([]), {}
+        if plan is not None and lit.pyramid is not None:
+            radiance = self._by_samples(lit.pyramid, view, plan, traced.work, report)
+            measured = {"plan": plan}
+        direct = shade_lights(self.materials, surfaces, lit.groups, traced.visibility)
+        for more in (direct, surfaces.emission(self.materials)):
+            radiance = radiance if more is None else radiance + more
+        alpha = surfaces.covered.astype(radiance.dtype)[..., None]
+        if view.factor > 1:
+            radiance, alpha = averaged(radiance, view.factor), averaged(alpha, view.factor)
+        return Image(radiance, alpha[..., 0], {}, measured)
+
+    def background(self, lit: AdaptiveLight, view: AdaptiveView) -> Float[Array, "h w 3"]:
+        """The environment where no surface is seen."""
+        surfaces = view.surfaces
+        if lit.environment is None:
+            return jnp.zeros((*view.shape, 3), surfaces.u.dtype)
+        return averaged(behind(surfaces.background(lit.environment), surfaces.covered), view.factor)
+
+    def predicted(
+        self, lit: AdaptiveLight, view: AdaptiveView, samples: int = PREDICTING_SAMPLES
+    ) -> tuple[tuple[Prediction, ...], ...]:
+        """Bandwidth and noise of the components of each part, at a quarter of the pixels.
+
+        Args:
+            lit: with an environment.
+            view: whose pixels.
+            samples: n_b of the paper.
+        """
+        spacing, light = jnp.float32(2 * view.factor), _pyramid_of(lit)
+
+        def of(part: Sampled, probe: Probe) -> Prediction:
+            drawn = draw(part, probe.pixels, samples)
+            given = part, light, probe.pixels, probe.curvature, probe.distance, view.pixel_angle, spacing, drawn
+            if not self.method.shadows:
+                return predict(*given)
+            towards, points = np.asarray(directions(part, probe.pixels, drawn)), probe.known_points()
+            far = np.full(towards.shape[:2], np.inf, np.float32)
+            rays = np.repeat(points, samples), towards[: len(points)].reshape(-1, 3)
+            far[: len(points)] = view.surfaces.points.distances(*rays).reshape(-1, samples)
+            return predict(*given, jnp.asarray(far))
+
+        pairs = zip(view.probes, self._components(view), strict=True)
+        return tuple(tuple(of(part.sampler, probe) for part in components) for probe, components in pairs)
+
+    def plan(
+        self,
+        lit: AdaptiveLight,
+        view: AdaptiveView,
+        predicted: tuple[tuple[Prediction, ...], ...] | None = None,
+        *,
+        report: Report | None = None,
+    ) -> Plan:
+        """Where to shade, by the budget or the error that the dials allow.
+
+        Args:
+            lit: with an environment.
+            view: whose pixels.
+            predicted: what `predicted` gives, where it is known.
+            report: called with the progress.
+
+        Raises:
+            InputError: inside of jit, as a plan's size follows from the light's values.
+        """
+        if is_traced((lit, view, self)):
+            raise InputError(
+                "a plan of samples follows from the light's values, which are not known inside of jit; call trace "
+                "outside and pass its result to shade"
+            )
+        method, light = self.method, _pyramid_of(lit)
+        tolerance = DEFAULT_TOLERANCE if method.samples is None and method.tolerance is None else method.tolerance
+        if report:
+            report("plan", 0, 1)
+        predicted = predicted or self.predicted(lit, view)
+        components = self._components(view)
+        samplers = [[part.sampler for part in mine] for mine in components]
+        weights, white = [[part.weight for part in mine] for mine in components], 2.0**-method.exposure
+        count = max(map(len, components), default=0)
+        layers = [estimate_layer(view, weights, predicted, number, white) for number in range(count)]
+        blocked = [self._blocked(view, part) for part in range(len(components))]
+        layers, power = calibrate(view, light, samplers, layers, blocked)
+        pixels = max(view.covered_count(), 1)
+        return make_plan(
+            layers, power, view.surfaces.shape, pixels, view.factor, method.samples, tolerance, method.shadows
+        )
+
+    def shade_plan(
+        self,
+        lit: AdaptiveLight,
+        view: AdaptiveView,
+        plan: Plan,
+        *,
+        filtered: bool = True,
+    ) -> Float[Array, "h w 3"]:
+        """Radiance under the environment alone, without its sun, by a plan.
+
+        Args:
+            lit: with an environment, for which was planned or another.
+            view: whose pixels.
+            plan: where to shade.
+            filtered: see `estimate`.
+        """
+        return self._by_samples(_pyramid_of(lit), view, plan, None, None, filtered)
+
+    def shade_uniform(
+        self, lit: AdaptiveLight, view: AdaptiveView, samples: int, *, filtered: bool = False
+    ) -> Float[Array, "h w 3"]:
+        """Radiance under the environment alone, by the same number of samples in every pixel for each component."""
+        rows = []
+        for number, components in enumerate(self._components(view)):
+            part = view.surfaces.parts[number]
+            counts = np.where(np.asarray(part.pixels.pixel) < view.surfaces.covered.size, samples, 0)
+            radiance = jnp.zeros((len(counts), 3), part.pixels.omega_o.dtype)
+            for one in components:
+                arguments = part.pixels, counts, self.method.seed, filtered, self._blocked(view, number)
+                radiance = _weighed(
+                    one.weight, part.pixels, estimate(one.sampler, _pyramid_of(lit), *arguments), radiance
+                )
+            rows.append(radiance)
+        return view.surfaces.image(rows)
+
+    def _by_samples(
+        self,
+        light: LightPyramid,
+        view: AdaptiveView,
+        plan: Plan,
+        work: tuple[tuple[SampleWork | None, ...], ...] | None,
+        report: Report | None,
+        filtered: bool = True,
+    ) -> Float[Array, "h w 3"]:
+        """Radiance under the environment, of all layers of a plan."""
+        heard = _Progress(report, plan.samples) if report and work is None else None
+        components, seed = self._components(view), self.method.seed
+        rows = [jnp.zeros((len(part.pixels.pixel), 3), part.pixels.omega_o.dtype) for part in view.surfaces.parts]
+        for number, layer in enumerate(plan.layers):
+            shaded = []
+            for part, mine in enumerate(components):
+                if number >= len(mine):
+                    continue
+                sampler, pixels = mine[number].sampler, view.surfaces.parts[part].pixels
+                listed = None if work is None else work[number][part]
+                if listed is not None:
+                    radiance = estimate_listed(sampler, light, pixels, listed, seed, filtered)
+                else:
+                    counts = view.of_part(part, np.asarray(layer.counts))
+                    blocked = self._blocked(view, part)
+                    radiance = estimate(sampler, light, pixels, counts, seed, filtered, blocked, heard)
+                shaded.append((part, radiance))
+            image = layer.between.interpolate(
+                scattered([(view.places[part], radiance) for part, radiance in shaded], view.padded_shape)
+            )
+            for part, _ in shaded:
+                pixels, weight = view.surfaces.parts[part].pixels, components[part][number].weight
+                rows[part] = _weighed(weight, pixels, taken_from(image, view.places[part]), rows[part])
+        return view.surfaces.image(rows)
+
+    def _components(self, view: AdaptiveView) -> list[tuple[SampledComponent, ...]]:
+        """Of each part's material."""
+        return [self.sampled_materials[part.material].components for part in view.surfaces.parts]
+
+    def _visibility(self, lit: AdaptiveLight, view: AdaptiveView) -> Visibility:
+        points = view.surfaces.points
+        return trace_visibility(points, lit.groups) if self.method.shadows else all_visible(points, lit.groups)
+
+    def _blocked(self, view: AdaptiveView, part: int) -> Blocked | None:
+        """Whether rays from the pixels of a part meet anything."""
+        if not self.method.shadows:
+            return None
+        start, points = int(view.surfaces.parts[part].start), view.surfaces.points
+        return lambda place, towards: points.is_occluded(start + place, towards)
+
+
+class _Progress:
+    """Progress of several parts as one."""
+
+    def __init__(self, report: Report, total: int):
+        self._report, self._total, self._done = report, total, 0
+
+    def __call__(self, samples: int):
+        self._done += samples
+        self._report("samples", min(self._done, self._total), self._total)
+
+
+def _pyramid_of(lit: AdaptiveLight) -> LightPyramid:
+    if lit.pyramid is None:
+        raise InputError("adaptive shading plans samples of an environment, and the light has none")
+    return lit.pyramid
+
+
+@jax.jit
+def _weighed(weight: Weight, pixels, radiance, others):
+    """Radiance of pixels by a component's weight, added to that of other components."""
+    return others + radiance * looked_up(weight, pixels)

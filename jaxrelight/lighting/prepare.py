@@ -1,0 +1,118 @@
+"""From a scene and a lighting method to a relighter, and from a store to one."""
+
+import pathlib
+import time
+
+from jaxrelight.brdf.material import as_material
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter, sampled_materials
+from jaxrelight.lighting.contract import Relighter, Report
+from jaxrelight.lighting.indirect import IndirectRelighter
+from jaxrelight.lighting.prefiltered import PrefilteredRelighter
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_material
+from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import StoreBuild, precompute
+from jaxrelight.scene.scene import Scene
+from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
+
+
+def prepare(
+    scene: Scene,
+    method: Method | None = None,
+    store: str | pathlib.Path | None = None,
+    report: Report | None = None,
+) -> Relighter:
+    """Does what can be done before the light is known, and gives what lights the scene.
+
+    `Transport` and `Indirect` precompute into a store, or complete it; what is done there is reused. `Prefiltered` and
+    `Adaptive` have no store.
+
+    Args:
+        scene: what to light. Pixel receivers and `Indirect` bind its camera.
+        method: the lighting method and its dials; by default `default_method(scene)`.
+        store: the store's folder; by default one in the user's cache folder, named by the geometry.
+        report: called with the progress: a stage, how much of it is done and how much there is.
+
+    Raises:
+        InputError: for a scene that the method cannot light.
+    """
+    return prepare_with_build(scene, method, store, report)[0]
+
+
+def prepare_with_build(
+    scene: Scene,
+    method: Method | None = None,
+    store: str | pathlib.Path | None = None,
+    report: Report | None = None,
+) -> tuple[Relighter, StoreBuild | None]:
+    """`prepare`, and what a precomputation did; None for a method without a store.
+
+    Raises:
+        InputError: as `prepare` does.
+    """
+    method = default_method(scene) if method is None else method
+    match method:
+        case Transport() | Indirect():
+            build = precompute(scene, method, store, report or (lambda stage, done, total: None))
+            started = time.perf_counter()
+            # Of this scene, whatever another process has meanwhile made of the store.
+            precomputed = load(build.folder, build.header, build.geometry)
+            build.seconds["open"] = time.perf_counter() - started
+            return _relighter_of(precomputed), build
+        case Prefiltered():
+            _refuse_store(method, store)
+            return _prepare_prefiltered(scene, method), None
+        case Adaptive():
+            _refuse_store(method, store)
+            return _prepare_adaptive(scene, method, report), None
+    raise InputError(f"a lighting method is Transport, Indirect, Prefiltered or Adaptive, not {type(method).__name__}")
+
+
+def open_store(folder: str | pathlib.Path) -> TransportRelighter | IndirectRelighter:
+    """A relighter from a store; nothing is written.
+
+    Raises:
+        InputError: if it is not complete, damaged, or of another format.
+    """
+    return _relighter_of(load(folder))
+
+
+def default_method(scene: Scene) -> Method:
+    """`Indirect` for a scene with local lights alone, and `Transport` otherwise."""
+    return Indirect() if scene.lights.local and scene.lights.environment is None else Transport()
+
+
+def _relighter_of(precomputed) -> TransportRelighter | IndirectRelighter:
+    if isinstance(precomputed, PrecomputedIndirect):
+        return IndirectRelighter(precomputed)
+    return TransportRelighter(precomputed)
+
+
+def _refuse_store(method: Method, store: str | pathlib.Path | None):
+    if store is not None:
+        raise InputError(f"{type(method).__name__} precomputes nothing, so it has no store; leave it out")
+
+
+def _prepare_prefiltered(scene: Scene, method: Prefiltered) -> PrefilteredRelighter:
+    materials = _materials(scene, method.minification)
+    return PrefilteredRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+
+
+def _prepare_adaptive(scene: Scene, method: Adaptive, report: Report | None) -> AdaptiveRelighter:
+    materials = sampled_materials(_materials(scene, method.minification), report)
+    return AdaptiveRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+
+
+def _materials(scene: Scene, minification) -> tuple[SurfaceMaterial, ...]:
+    scene.check_materials()
+    names = sorted({part.material for part in scene.parts})
+    return tuple(surface_material(name, as_material(scene.materials[name]), minification) for name in names)
+
+
+def _geometry(scene: Scene) -> SceneGeometry:
+    surfaces = scene.surfaces()
+    maps = tuple(as_material(scene.materials[part.material]).normal_map for part in scene.parts)
+    return SceneGeometry(surfaces, Tracer(surfaces), maps, tuple(part.material for part in scene.parts))

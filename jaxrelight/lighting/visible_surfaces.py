@@ -1,0 +1,208 @@
+"""What a camera sees of a scene: the surface point of every pixel, by material, ready for light."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxrelight.basis import latlong
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.normal_maps import see
+from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
+from jaxrelight.brdf.texture import Weight
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.frame import frames_of_points, to_local
+from jaxrelight.geometry.gbuffer import GBuffer
+from jaxrelight.geometry.morton import morton
+from jaxrelight.lighting.pixels import SurfacePixels, assembled, padded, places
+from jaxrelight.lighting.shadows import SurfacePoints, surface_points
+from jaxrelight.lights.environment import Environment
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.transport.model import SceneGeometry
+
+
+class SurfaceComponent(eqx.Module):
+    """One BRDF of a material and the factor on it; maps of lobes are packed once for all views."""
+
+    brdf: Brdf | PackedLobes
+    weight: Weight
+
+
+class SurfaceMaterial(eqx.Module):
+    """A material as pixels ask for it.
+
+    Attributes:
+        name: of the material.
+        components: what it combines.
+        emission: radiance that it emits; None for none.
+    """
+
+    name: str = eqx.field(static=True)
+    components: tuple[SurfaceComponent, ...]
+    emission: Float[Array, "3"] | None = None
+
+    @property
+    def is_spatial(self) -> bool:
+        """Whether a component has a BRDF for every texel."""
+        return any(isinstance(component.brdf, PackedLobes) for component in self.components)
+
+
+def surface_material(name: str, material: Material, minification: Minification = "levels") -> SurfaceMaterial:
+    """A material as pixels ask for it.
+
+    Args:
+        name: of the material.
+        material: any.
+        minification: of SBRDFs whose texels are smaller than pixels: the coarser "levels" that were fitted, as far as
+            maps have any; "averaged" parameters; or "none".
+    """
+    components = tuple(_surface_component(component, minification) for component in material.components)
+    emission = None if material.emission is None else as_array(material.emission, np.float32)
+    return SurfaceMaterial(name, components, emission)
+
+
+def _surface_component(component: Component, minification: Minification) -> SurfaceComponent:
+    brdf = component.brdf
+    return SurfaceComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, component.weight)
+
+
+class SurfacePart(eqx.Module):
+    """The pixels that see one material.
+
+    Attributes:
+        material: its number among the relighter's materials.
+        pixels: that see it.
+        start: the first of them among the points that light reaches.
+    """
+
+    material: int = eqx.field(static=True)
+    pixels: SurfacePixels
+    start: Int[Array, ""]
+
+    def positions(self, points: SurfacePoints) -> Float[Array, "p 3"]:
+        """Of the pixels, in the world; of padding, those of others."""
+        return jax.lax.dynamic_slice_in_dim(points.positions, self.start, len(self.pixels.pixel))
+
+
+class VisibleSurfaces(eqx.Module):
+    """What a camera sees, ready to be lit again and again.
+
+    Attributes:
+        camera: that sees it.
+        parts: the pixels of each material that is seen.
+        points: where light arrives, part by part.
+        place: see `assembled`.
+        covered: which pixels show a surface.
+        u: where each pixel's direction lies in a lat-long map, rightwards 0 … 1.
+        v: the same, downwards.
+    """
+
+    camera: Camera = eqx.field(static=True)
+    parts: tuple[SurfacePart, ...]
+    points: SurfacePoints
+    place: Int[Array, " n"]
+    covered: Bool[Array, "h w"]
+    u: Float[Array, "h w"]
+    v: Float[Array, "h w"]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.covered.shape  # pyright: ignore[reportReturnType]
+
+    def image(self, rows: Sequence[Float[Array, "_ c"]]) -> Float[Array, "h w c"]:
+        """What the pixels of each part show; 0 where no surface is seen."""
+        if not rows:
+            return jnp.zeros((*self.shape, 3), self.u.dtype)
+        return assembled(rows, self.place, self.shape)
+
+    def emission(self, materials: Sequence[SurfaceMaterial]) -> Float[Array, "h w 3"] | None:
+        """Radiance that surfaces emit towards the eye; None where none of those seen does."""
+        if all(materials[part.material].emission is None for part in self.parts):
+            return None
+        return self.image([emitted(materials[part.material].emission, part.pixels) for part in self.parts])
+
+    def background(self, environment: Environment) -> Float[Array, "h w 3"]:
+        """The environment in every pixel's direction."""
+        return _background(environment, self.u, self.v)
+
+
+@jax.jit
+def emitted(emission: Float[Array, "3"] | None, pixels: SurfacePixels) -> Float[Array, "p 3"]:
+    """Radiance that pixels' material emits; 0 from below the shading normal."""
+    above = pixels.omega_o[:, 2:] > 0
+    return jnp.where(above, jnp.zeros(3, pixels.omega_o.dtype) if emission is None else emission, 0)
+
+
+@jax.jit
+def _background(environment: Environment, u, v):
+    return latlong.look_up(environment.pixels, u + environment.rotate_y / 360, v) * environment.scale
+
+
+def trace_view(
+    geometry: SceneGeometry, camera: Camera, materials: Sequence[SurfaceMaterial], gbuffer: GBuffer | None = None
+) -> tuple[VisibleSurfaces, GBuffer]:
+    """Traces a camera's rays. On the host.
+
+    Args:
+        geometry: of the scene.
+        camera: any.
+        materials: of the relighter, in its order; meshes of others are black.
+        gbuffer: what is known to be seen already.
+
+    Returns:
+        What is seen, by material, and the surface points behind it.
+    """
+    surfaces = geometry.surfaces
+    if gbuffer is None:
+        gbuffer = see(surfaces, geometry.tracer, camera, geometry.normal_maps or [None] * len(surfaces.two_sided))
+    names = [material.name for material in materials]
+    number_of_mesh = [names.index(name) if name in names else -1 for name in geometry.material_of_mesh]
+    seen = np.asarray(number_of_mesh)[gbuffer.mesh]
+    pixel = np.flatnonzero(gbuffer.covered)
+    parts, order, end = [], [np.zeros(0, int)], 0
+    for number, material in enumerate(materials):
+        mine = np.flatnonzero(seen == number)
+        if not len(mine):
+            continue
+        if material.is_spatial:
+            # Neighbours in the maps one after the other: large maps are read a tenth faster.
+            mine = mine[np.argsort(morton(gbuffer.uv[mine] % 1), kind="stable")]
+        frames = frames_of_points(gbuffer.normals[mine], gbuffer.tangents[mine])
+        own, omega_o = np.arange(len(mine)), to_local(frames, gbuffer.omega_o[mine])
+        pixels = SurfacePixels(
+            pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
+            uv=jax.device_put(padded(gbuffer.uv, mine)),
+            footprint=jax.device_put(padded(gbuffer.footprint, mine)),
+            omega_o=jax.device_put(padded(omega_o, own)),
+            frame=jax.device_put(padded(frames, own)),
+        )
+        start = sum(map(len, order))
+        parts.append(SurfacePart(number, pixels, as_array(start, np.int32)))
+        end = start + len(pixels.pixel)
+        order.append(mine)
+    mine = np.concatenate(order)
+    # As many as the padding of the last part asks for.
+    points = surface_points(
+        geometry.tracer,
+        gbuffer.positions[mine],
+        gbuffer.face_normals[mine],
+        gbuffer.normals[mine],
+        surfaces.centre,
+        surfaces.radius,
+        end,
+    )
+    u, v = latlong.coordinates(gbuffer.directions)
+    u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
+    place = places([part.pixels for part in parts], gbuffer.covered.size)
+    return VisibleSurfaces(camera, tuple(parts), points, place, covered, u, v), gbuffer
+
+
+def with_samples(camera: Camera, along: int) -> Camera:
+    """The camera with so many times its rows and columns: samples of each pixel along both sides."""
+    return dataclasses.replace(camera, width=along * camera.width, height=along * camera.height)
