@@ -96,7 +96,8 @@ def under(seen: Seen, maps, *given, **how):
 def lit_by(seen: Seen, lights, shadows: bool = True, **how):
     """What `shade_lights` makes of local lights, with shadow rays or without."""
     groups = group_lights(lights)
-    radiance = shade_lights(*seen, groups, (trace_visibility if shadows else all_visible)(seen.view.points, groups), **how)
+    visibility = (trace_visibility if shadows else all_visible)(seen.view.points, groups)
+    radiance = shade_lights(*seen, groups, visibility, **how)
     assert radiance is not None
     return radiance
 

@@ -161,7 +161,8 @@ def test_lights_of_a_kind_are_one_group_of_few_sizes(floor):
     np.testing.assert_array_equal(of_points.is_real, np.arange(16) < 9)
     bits, _ = trace_visibility(points, (of_points, of_suns))
     assert tracer.rays == 10 * COUNT // 2
-    np.testing.assert_array_equal(np.unpackbits(np.asarray(bits)[7], count=len(points.normals)), reached(points, lamps[7]))
+    seventh = np.unpackbits(np.asarray(bits)[7], count=len(points.normals))
+    np.testing.assert_array_equal(seventh, reached(points, lamps[7]))
     assert not np.asarray(bits)[9:].any()
     for every, traced in zip(all_visible(points, (of_points, of_suns)), (bits, bits[:1]), strict=True):
         assert every.shape == traced.shape
