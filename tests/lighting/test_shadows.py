@@ -155,15 +155,15 @@ def test_a_light_from_the_same_direction_but_nearer_is_another(floor):
 def test_lights_of_a_kind_are_one_group_of_few_sizes(floor):
     """Filling is traced towards by no ray, and changes nothing of the others."""
     points, tracer = floor
-    lamps = [point([0.1 * i - 0.5, 1, 0], 1) for i in range(9)]
+    lamps = [point([0.1 * i - 0.5, 1, 0], 1) for i in range(17)]
     of_points, of_suns = group_lights([*lamps[:4], LIGHTS["directional"], *lamps[4:]])
-    assert (len(of_points.is_real), len(of_suns.is_real)) == (16, 1)
-    np.testing.assert_array_equal(of_points.is_real, np.arange(16) < 9)
+    assert (len(of_points.is_real), len(of_suns.is_real)) == (18, 1)
+    np.testing.assert_array_equal(of_points.is_real, np.arange(18) < 17)
     bits, _ = trace_visibility(points, (of_points, of_suns))
-    assert tracer.rays == 10 * COUNT // 2
+    assert tracer.rays == 18 * COUNT // 2
     seventh = np.unpackbits(np.asarray(bits)[7], count=len(points.normals))
     np.testing.assert_array_equal(seventh, reached(points, lamps[7]))
-    assert not np.asarray(bits)[9:].any()
+    assert not np.asarray(bits)[17:].any()
     for every, traced in zip(all_visible(points, (of_points, of_suns)), (bits, bits[:1]), strict=True):
         assert every.shape == traced.shape
         assert (np.asarray(every) == 255).all()
