@@ -58,7 +58,8 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     is_sun = jnp.sum(jnp.where(bright, top, 0)) >= SHARE * jnp.sum(energy)
     stays = jnp.where(bright & is_sun, jnp.sqrt(limit / jnp.where(bright, top, 1)), 1.0)[:, None]
     # A product, not a difference: exactly 0 where all stays, however XLA may round.
-    return Split(texels.at[index].multiply(stays), index, texels[index] * (1 - stays))
+    rest = texels.at[index].multiply(stays, unique_indices=True)
+    return Split(rest, index, texels[index] * (1 - stays))
 
 
 def without_sun(pixels: Float[Array | np.ndarray, "h w 3"]) -> tuple[Float[Array, "h w 3"], Sky]:
