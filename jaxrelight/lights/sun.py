@@ -43,14 +43,17 @@ class Split(NamedTuple):
 def split_sun(texels: Float[Array, "d c"]) -> Split:
     """Takes the sun off a light: rest + sun is the light. Pure; where there is no sun, nothing is taken.
 
+    Differentiable, what is taken and from where held fixed.
+
     What compressed rows leave out is an error that grows with the light's coefficients, and a sun's are as large in
     fine levels as in coarse ones.
 
     Args:
         texels: radiance of d > 16 texels of a cube map.
     """
-    largest = jnp.max(jnp.abs(texels))
-    scaled = texels / jnp.where(largest > 0, largest, 1)
+    known = jax.lax.stop_gradient(texels)
+    largest = jnp.max(jnp.abs(known))
+    scaled = known / jnp.where(largest > 0, largest, 1)
     energy = jnp.sum(jnp.square(scaled), axis=1)
     top, index = jax.lax.top_k(energy, MOST + 1)
     limit, top, index = top[-1], top[:-1], index[:-1]

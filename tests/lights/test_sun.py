@@ -55,6 +55,22 @@ def test_a_single_texel_is_all_sun(scale):
     assert len(split.texels) == MOST
 
 
+@pytest.mark.parametrize("sky", [SKY, np.zeros_like(SKY)], ids=["over a sky", "alone"])
+def test_derivatives_are_those_of_the_light(sky):
+    """Rest and sun together are the light, so what both give is its derivative; finite where all else is black."""
+    light = sky.copy()
+    light[[5, 100]] = [[1e5, 9e4, 8e4], [5e4, 6e4, 7e4]]
+    weights = np.random.default_rng(0).uniform(size=light.shape).astype(np.float32)
+
+    @jax.jit
+    @jax.grad
+    def slope(light):
+        split = split_sun(light)
+        return jnp.sum(weights * (split.rest + split.sun))
+
+    np.testing.assert_allclose(slope(light), weights, rtol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "has_sun"),
     [
