@@ -82,11 +82,15 @@ def _reflected(radiance, components, pixels: SurfacePixels, positions, lights, b
         return jnp.where(lit, value * omega_i[2] * irradiance * visible, 0)
 
     @jax.checkpoint
-    def add(total, given):
-        light, bits = given
+    def add(total, light, bits):
         incident = light.at(positions)
         visible = unpacked(bits, start, count, positions.dtype)
         rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, incident.omega_i, incident.irradiance, visible
-        return total + jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH), None
+        return total + jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
 
-    return jax.lax.scan(add, radiance, (lights, bits))[0]
+    def step(total, given):
+        light, bits = given
+        # Filling, and what reaches nothing that is seen, costs nothing.
+        return jax.lax.cond(jnp.any(bits), lambda: add(total, light, bits), lambda: total), None
+
+    return jax.lax.scan(step, radiance, (lights, bits))[0]

@@ -1,6 +1,7 @@
 """Shadow rays from surface points to lights. What they find is held fixed in derivatives."""
 
 import collections
+import functools
 import hashlib
 import weakref
 from collections.abc import Sequence
@@ -84,7 +85,7 @@ class LightGroup(eqx.Module):
 
     Attributes:
         lights: all of them.
-        is_real: which of them are no filling.
+        is_real: which of them are no filling, which reaches nothing.
     """
 
     lights: Punctual
@@ -121,7 +122,12 @@ def _stacked(parts: list[Punctual]) -> LightGroup:
 def all_visible(points: SurfacePoints, groups: Sequence[LightGroup]) -> Visibility:
     """What there is without shadows: every light reaches every point."""
     width = -(-len(points.positions) // 8)
-    return tuple(as_array(np.full((len(group.is_real), width), 255, np.uint8)) for group in groups)
+    return tuple(_everywhere(group.is_real, width) for group in groups)
+
+
+@functools.partial(jax.jit, static_argnames="width")
+def _everywhere(is_real, width: int) -> UInt8[Array, "n b"]:
+    return jnp.broadcast_to(jnp.where(is_real, 255, 0).astype(jnp.uint8)[:, None], (len(is_real), width))
 
 
 def trace_visibility(points: SurfacePoints, groups: Sequence[LightGroup]) -> Visibility:
