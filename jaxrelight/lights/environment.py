@@ -66,7 +66,11 @@ class Environment(eqx.Module):
         numbers = [number for number in (rotate_y, scale) if not isinstance(number, Tracer)]
         if not np.all(np.isfinite(numbers)) or not (isinstance(scale, Tracer) or scale >= 0):
             raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
-        self.rotate_y, self.scale, self._notes = rotate_y, scale, _Unseen(notes)
+        # Whole numbers would be compiled for apart.
+        self.rotate_y, self.scale = (
+            number if isinstance(number, jax.Array) else float(number) for number in (rotate_y, scale)
+        )
+        self._notes = _Unseen(notes)
 
     @property
     def notes(self) -> tuple[str, ...]:

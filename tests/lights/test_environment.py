@@ -37,6 +37,15 @@ def test_good_pixels_are_kept_as_they_are():
     assert black.notes == ()
 
 
+def test_whole_numbers_are_no_other_kind_of_environment():
+    """Nothing is compiled anew for them; arrays stay as they are."""
+    whole, real = environment(sky(), 30, 2), environment(sky(), 30.0, np.float32(2))
+    assert jax.tree.map(type, whole) == jax.tree.map(type, real)
+    turned = real.with_(rotate_y=jax.numpy.asarray(40.0))
+    assert isinstance(turned.rotate_y, jax.Array)
+    assert type(turned.scale) is float
+
+
 def test_negative_pixels_are_clamped_and_counted():
     pixels = sky()
     pixels[2, 3] = [-1, 0.5, 2]
