@@ -105,13 +105,13 @@ def test_derivatives_in_the_map_and_its_turn(object_outdoors):
 
 def test_stores_without_a_sky_say_so(tmp_path):
     """And light an environment by many distant lights."""
-    relighter = opened(outdoors(), tmp_path, bounces=1, sky_samples=64)
+    relighter = opened(outdoors(), tmp_path, bounces=1, sky_samples=512)
     with pytest.raises(InputError, match="precomputed without the sky; precompute with --sky"):
         relighter.sky_light(ONES.pixels)
     (group,) = relighter.light(ONES).groups
-    assert np.asarray(group.is_real).sum() == 64
+    assert 256 < np.asarray(group.is_real).sum() <= 512
     image = relighter.picture(ONES, background=False)
-    np.testing.assert_allclose(image[image[..., 3] == 1][:, :3].mean(axis=0), [0.5, 0.4, 0.3], rtol=0.02)
+    np.testing.assert_allclose(image[image[..., 3] == 1][:, :3].mean(axis=0), [0.5, 0.4, 0.3], rtol=0.01)
 
 
 def test_photons_do_not_come_from_it():
