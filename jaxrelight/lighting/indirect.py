@@ -185,7 +185,10 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         return _reflected(irradiance, cloud.albedo if albedo is None else albedo, cloud.emission)
 
     def sky_light(
-        self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y: float = 0.0, scale: float = 1.0
+        self,
+        pixels: Float[Array | np.ndarray, "h w 3"],
+        rotate_y: float | Float[Array, ""] = 0.0,
+        scale: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "g c"]:
         """Radiance of the cloud's directions of the sky under a lat-long map. Pure and differentiable in all three.
 

@@ -98,12 +98,24 @@ def _refuse_store(method: Method, store: str | pathlib.Path | None):
 
 def _prepare_prefiltered(scene: Scene, method: Prefiltered) -> PrefilteredRelighter:
     materials = _materials(scene, method.minification)
-    return PrefilteredRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+    return PrefilteredRelighter(
+        materials=materials,
+        own_lights=scene.lights,
+        method=method,
+        camera=scene.camera,
+        geometry=_geometry(scene),
+    )
 
 
 def _prepare_adaptive(scene: Scene, method: Adaptive, report: Report | None) -> AdaptiveRelighter:
     materials = sampled_materials(_materials(scene, method.minification), report)
-    return AdaptiveRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+    return AdaptiveRelighter(
+        sampled_materials=materials,
+        own_lights=scene.lights,
+        method=method,
+        camera=scene.camera,
+        geometry=_geometry(scene),
+    )
 
 
 def _materials(scene: Scene, minification) -> tuple[SurfaceMaterial, ...]:

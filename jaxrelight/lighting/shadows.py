@@ -75,8 +75,10 @@ def surface_points(
     """
     length = bucket(max(len(positions), least), 1024)
     lifted = positions + OFFSET * face_normals
-    arrays = (filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
-    return SurfacePoints(*jax.device_put(tuple(arrays)), as_array(radius, np.float32), tracer)
+    origins, world, shading = jax.device_put(
+        tuple(filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
+    )
+    return SurfacePoints(origins, world, shading, as_array(radius, np.float32), tracer)
 
 
 class LightGroup(eqx.Module):

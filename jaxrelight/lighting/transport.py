@@ -152,7 +152,10 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return _traced_view(self.transport, self.materials, camera)
 
     def light_vector(
-        self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y: float = 0.0, scale: float = 1.0
+        self,
+        pixels: Float[Array | np.ndarray, "h w 3"],
+        rotate_y: float | Float[Array, ""] = 0.0,
+        scale: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "d c"]:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]
