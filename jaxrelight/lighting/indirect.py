@@ -22,6 +22,7 @@ from jaxrelight.lighting.shadows import (
     Visibility,
     all_visible,
     group_lights,
+    sum_over_lights,
     surface_points,
     trace_visibility,
     unpacked,
@@ -323,15 +324,13 @@ def _irradiance(irradiance, points: SurfacePoints, lights, bits):
     count = len(irradiance)
     positions, normals = points.positions[:count], points.normals[:count]
 
-    @jax.checkpoint
-    def add(total, given):
-        light, bits = given
+    def one_light(light, bits):
         incident = light.at(positions)
         cosine = jnp.maximum(jnp.sum(incident.omega_i * normals, axis=1), 0)
         visible = unpacked(bits, jnp.zeros((), jnp.int32), count, normals.dtype)
-        return total + incident.irradiance * (cosine * visible)[:, None], None
+        return incident.irradiance * (cosine * visible)[:, None]
 
-    return jax.lax.scan(add, irradiance, (lights, bits))[0]
+    return sum_over_lights(one_light, irradiance, lights, bits)
 
 
 @jax.jit
