@@ -1,5 +1,6 @@
 """Lighting by direct-to-indirect transfer: local lights move, and many bounces follow (Hašan 2006 §3)."""
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -8,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.errors import InputError
@@ -36,6 +38,7 @@ from jaxrelight.lights.sky import mean_radiance, nearest_directions, sky_of
 from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.sharded import sharded
 from jaxrelight.transport.model import PrecomputedIndirect, PrecomputedTransport
 
 # Side of the cube map that is as fine as maps of a sky in the cloud are read.
@@ -124,6 +127,17 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
     def scene_lights(self) -> Lights:
         """The scene's own lights, read from the store."""
         return self.precomputed.stored.lights()
+
+    def sharded(self, mesh: Mesh) -> "IndirectRelighter":
+        """The same with the rows of pixels and points spread over the devices of a mesh of one axis.
+
+        Raises:
+            InputError: for another mesh.
+        """
+        cloud = self.precomputed.cloud
+        between = None if cloud.between is None else sharded(cloud.between, mesh)
+        transport = self.precomputed.transport.sharded(mesh)
+        return IndirectRelighter(PrecomputedIndirect(transport, dataclasses.replace(cloud, between=between)))
 
     def view(self, camera: Camera | None = None, direct_samples: int | None = None) -> IndirectView:
         """What the scene's camera sees.

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
@@ -125,6 +126,14 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         The reference for what compression leaves out; see `transport.rebake.exact`.
         """
         return TransportRelighter(baking.exact(self.transport))
+
+    def sharded(self, mesh: Mesh) -> "TransportRelighter":
+        """The same with its rows spread over the devices of a mesh of one axis, of one process or of many.
+
+        Raises:
+            InputError: for another mesh, or where all coefficients are kept, whose rows are in no operator.
+        """
+        return TransportRelighter(self.transport.sharded(mesh))
 
     def rebake(self, reflections: Sequence[Reflection]) -> "TransportRelighter":
         """The same with another reflection for each block, without a new ray; differentiable in the reflections.
