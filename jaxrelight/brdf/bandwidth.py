@@ -105,6 +105,8 @@ def from_square(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "... 3"]:
 def bandwidth_table(brdf: Brdf, resolution: int = 256, grid: int = _GRID) -> BandwidthTable:
     """The bandwidth of any BRDF, largest in each cell of the grid, measured on finer slices.
 
+    In float32 whatever the BRDF is of: bandwidths choose how many samples are taken, not what these are.
+
     Args:
         brdf: any.
         resolution: of a slice's side, a power of two: nothing above resolution/5 cycles per radian is seen.

@@ -64,7 +64,8 @@ def load(folder: str | pathlib.Path, header: dict | None = None, placed: Placed 
         placed: its geometry, as `precompute` gives it; by default read from the store.
 
     Raises:
-        InputError: if it is not complete, damaged, or of another format.
+        InputError: if it is not complete, damaged, or of another format; if a BRDF or a light is of a class of one's
+            own that is not known: its module must be imported before, see `jaxrelight.files.class_record`.
     """
     folder = pathlib.Path(folder)
     header = header or store.read_header(folder)
@@ -91,7 +92,8 @@ def _load(folder: pathlib.Path, header: dict, placed: Placed | None) -> Transpor
         raise ValueError("materials and meshes do not belong together")
     blocks, operators, total = [], [], 0.0
     for record in header["materials"]:
-        brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
+        called = f"the store's material '{record['name']}'"
+        brdf = from_record(record["brdf"], functools.partial(_read_table, folder), what=called)
         groups = receivers.groups_of(record["number"])
         if record["factors"]:
             read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors

@@ -18,6 +18,7 @@ from jaxrelight.brdf.spatial_factors import without_diffuse
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lights.record import to_records
 from jaxrelight.methods import Settings
 from jaxrelight.precomputation.layer_files import (
     factors_of,
@@ -159,8 +160,10 @@ def place(scene: Scene, settings: Settings, folder: str | pathlib.Path | None) -
     """Puts a scene's geometry into a store, and finds its receivers.
 
     Raises:
-        InputError: if the camera sees nothing where receivers are pixels, or the folder cannot be made.
+        InputError: if the camera sees nothing where receivers are pixels, if the folder cannot be made, or if a store
+            cannot hold the fields of a BRDF or a light of a class of one's own.
     """
+    _check_classes(scene, settings)
     surfaces = scene.surfaces()
     names = sorted({part.material for part in scene.parts})
     material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
@@ -178,3 +181,12 @@ def place(scene: Scene, settings: Settings, folder: str | pathlib.Path | None) -
     geometry = write_geometry(folder / f"geometry-{whole_key}", surfaces)
     placed = Placed(surfaces, tuple(bumps), tracer, receivers, seen)
     return PlacedScene(scene, settings, folder, placed, names, material_of_mesh, geometry, key)
+
+
+def _check_classes(scene: Scene, settings: Settings) -> None:
+    """Finds out before long work whether a store can hold the scene's BRDFs, and the lights that it keeps."""
+    for name in sorted({part.material for part in scene.parts}):
+        for component in as_material(scene.materials[name]).components:
+            to_record(component.brdf, lambda array: "", f"{scene.name}: material '{name}'")
+    if settings.gather_samples:
+        to_records(scene.lights, f"{scene.name}:")
