@@ -113,8 +113,6 @@ def to_fields(module: eqx.Module, what: str) -> tuple[dict[str, Any], dict[str, 
     arrays: dict[str, np.ndarray] = {}
 
     def encoded(value: Any, path: str, static: bool) -> Any:
-        if static and isinstance(value, np.generic):
-            return encoded(value.item(), path, static)
         if value is None or type(value) in (bool, int, float, str):
             return value
         if not static and _is_array(value):

@@ -56,7 +56,8 @@ class Area(Light):
         """Patches of equal size."""
         across = jnp.cross(self.u, self.v)
         area = jnp.sqrt(jnp.sum(across**2))
-        steps = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+        # Numbers of Python, which leave the type to the arrays.
+        steps = ((np.arange(self.samples) + 0.5) / self.samples - 0.5).tolist()
         return [
             Patch(self.centre + a * self.u + b * self.v, across / area, self.radiance * area / self.samples**2)
             for a in steps

@@ -65,4 +65,4 @@ def shown(values: Any) -> str:
     """Numbers as a message quotes them."""
     if is_known(values):
         return f"{values:g}" if isinstance(values, float) else repr(values)
-    return f"a traced array of the shape {jnp.shape(values)}"
+    return f"a traced array of the shape {as_numbers(values).shape}"
