@@ -55,7 +55,8 @@ def load(
         geometry: of the scene, as `precompute` gives it; by default read from the store.
 
     Raises:
-        InputError: if it is not complete, damaged, or of another format.
+        InputError: if it is not complete, damaged, or of another format; if a BRDF or a light is of a class of one's
+            own that is not known: its module must be imported before, see `jaxrelight.files.class_record`.
     """
     folder = pathlib.Path(folder)
     header = header or store.read_header(folder)
@@ -129,7 +130,8 @@ def _block(
     visibility: store.Layer | None,
 ) -> tuple[Block, tuple[float, float]]:
     """One BRDF of one material, and of its rows the energy that is left out and the total."""
-    brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
+    called = f"the store's material '{record['name']}'"
+    brdf = from_record(record["brdf"], functools.partial(_read_table, folder), what=called)
     groups = receivers.groups_of(record["number"])
     if record["factors"]:
         read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors
