@@ -5,10 +5,11 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
+
+from jaxrelight.operators.lineax_adapter import LineaxOperator
 
 
 class Basis(eqx.Module):
@@ -141,10 +142,17 @@ class Operator(eqx.Module):
         """`rows`, of indices whose shape has been checked."""
 
 
-def as_lineax(operator: Operator, dtype: DTypeLike = jnp.float32) -> lx.FunctionLinearOperator:
-    """The operator as a lineax operator from [d, c] to [r, c], for its solvers and its algebra."""
-    _, d, c = operator.shape
-    return lx.FunctionLinearOperator(operator.apply, jax.ShapeDtypeStruct((d, c), dtype))
+def as_lineax(operator: Operator, dtype: DTypeLike = jnp.float32) -> LineaxOperator:
+    """The operator as a lineax operator from [d, c] to [r, c], for its solvers and its algebra.
+
+    Its transpose is the operator's own. It has no mark, such as being symmetric: `lineax.TaggedLinearOperator` gives
+    one.
+
+    Args:
+        operator: of c channels; one channel stays one.
+        dtype: of the light and the radiance.
+    """
+    return LineaxOperator(operator, np.dtype(dtype))
 
 
 def check_light(light: Float[Array, "*n d c"], shape: tuple[int, int, int], leading: tuple[str, ...] = ()) -> None:
