@@ -7,7 +7,7 @@ from jaxrelight.operators.contract import Basis, Operator
 
 
 class Summed(Operator):
-    """The sum of operators of one shape, but for channels: those of one channel count in all."""
+    """The sum of operators of one shape, but for channels: each has one, or as many as the others."""
 
     operators: tuple[Operator, ...]
 
@@ -22,23 +22,19 @@ class Summed(Operator):
         """Bytes of all of them."""
         return sum(operator.nbytes for operator in self.operators)
 
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         first, *others = (operator.apply(light) for operator in self.operators)
         return sum(others, first)
 
-    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Radiance of every row under each light."""
+    def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
         first, *others = (operator.apply_many(lights) for operator in self.operators)
         return sum(others, first)
 
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         first, *others = (operator.transpose(radiance) for operator in self.operators)
         return sum(others, first)
 
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows."""
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         first, *others = (operator.rows(indices) for operator in self.operators)
         return sum(others, first)
 
@@ -59,20 +55,17 @@ class InBasis(Operator):
         """Bytes of the operator."""
         return self.operator.nbytes
 
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         return self.operator.apply(self.basis.encode(light.T).T)
 
-    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Radiance of every row under each light."""
+    def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
         return self.operator.apply_many(jnp.swapaxes(self.basis.encode(jnp.swapaxes(lights, 1, 2)), 1, 2))
 
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint: decoding is the transpose of encoding."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        # Decoding is the transpose of encoding.
         return self.basis.decode(self.operator.transpose(radiance).T).T
 
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows."""
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         return self.basis.decode(self.operator.rows(indices))
 
 

@@ -54,17 +54,17 @@ class Sharded(Operator):
         """Bytes of all devices together, with their filling; what all of them hold is counted once."""
         return sum(array.nbytes for array in jax.tree.leaves(self))
 
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row, on every device."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """Radiance is whole on every device."""
         return _apply(self, light)
 
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint, on every device: each takes its rows of the radiance."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """Each device takes its rows of the radiance; the light is whole on every one."""
         return _transpose(self, radiance)
 
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows, on every device."""
-        return _rows(self, jnp.asarray(indices))
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """Rows are whole on every device."""
+        return _rows(self, indices)
 
 
 # Compiled even where the caller compiles nothing: JAX runs a program on the devices of many processes, not its steps.

@@ -14,6 +14,7 @@ from jax.sharding import Mesh
 
 from jaxrelight.operators.algebra import InBasis, Summed
 from jaxrelight.operators.clustered import Cluster, clustered
+from jaxrelight.operators.contract import Basis
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.sharded import sharded
 from tests.operators.sharded_child import CASES, TOGETHER, D, check, clusters, random, rows
@@ -81,13 +82,17 @@ def test_filling_of_one_device_is_none():
         assert sharded(whole, _mesh()).nbytes < 1.05 * whole.nbytes
 
 
-class _Reversed(eqx.Module):
+class _Reversed(Basis):
     """The basis of the same texels from last to first."""
 
-    def encode(self, texels):
+    @property
+    def size(self):
+        return D
+
+    def _encode(self, texels):
         return texels[..., ::-1]
 
-    def decode(self, coefficients):
+    def _decode(self, coefficients):
         return coefficients[..., ::-1]
 
 
