@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
+from jaxrelight.timing import timed
+
 if TYPE_CHECKING:
     from fitting.lafortune import LafortuneFit
     from jaxrelight.brdf.files import BrdfFile
@@ -54,7 +56,6 @@ class Lafortune:
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_lobes
         from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.files.whole_file import check_place
 

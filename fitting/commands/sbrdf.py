@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from jaxrelight.timing import timed
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -55,7 +57,6 @@ class Sbrdf:
         from fitting.stack import load_stack
         from jaxrelight.brdf.files.sbrdf import write_sbrdf
         from jaxrelight.commands.progress import progress
-        from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place

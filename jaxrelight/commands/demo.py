@@ -6,6 +6,8 @@ from typing import Annotated
 
 import tyro
 
+from jaxrelight.timing import timed
+
 # Degrees by which the demo turns its sky, and eyes from which it looks.
 _ROTATIONS = (0.0, 70.0, 200.0)
 _EYES = ((0.7, 1.0, 2.7), (-2.1, 1.3, 1.7))
@@ -32,7 +34,6 @@ class Demo:
         from jaxrelight.commands.progress import progress
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
-        from jaxrelight.precomputation.groups import timed
 
         imports: dict[str, float] = {}
         with timed(imports, "imports"):

@@ -4,6 +4,7 @@ import pathlib
 from typing import TYPE_CHECKING, Any
 
 from jaxrelight.commands.options import PictureOptions
+from jaxrelight.timing import timed
 
 if TYPE_CHECKING:
     from jaxrelight.geometry.camera import Camera
@@ -58,7 +59,6 @@ def make_picture(
 
     from jaxrelight.commands.progress import notes
     from jaxrelight.images.files import write_image, write_layers
-    from jaxrelight.precomputation.groups import timed
 
     left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
     notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)

@@ -9,6 +9,7 @@ import tyro
 
 from jaxrelight.commands.dials import method_of
 from jaxrelight.commands.options import ScenePath
+from jaxrelight.timing import timed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +37,6 @@ class Precompute:
         start = time.perf_counter()
         from jaxrelight.commands.progress import notes, progress
         from jaxrelight.commands.summary import summarize
-        from jaxrelight.precomputation.groups import timed
 
         seconds: dict[str, float] = {}
         with timed(seconds, "imports"):

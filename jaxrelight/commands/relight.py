@@ -7,6 +7,7 @@ import time
 import tyro
 
 from jaxrelight.commands.options import LightOptions, Output, PictureOptions, ViewOptions
+from jaxrelight.timing import timed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +36,6 @@ class Relight:
         from jaxrelight.commands.progress import notes
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
-        from jaxrelight.precomputation.groups import timed
 
         seconds: dict[str, float] = {}
         with timed(seconds, "imports"):

@@ -9,6 +9,7 @@ import tyro
 
 from jaxrelight.commands.dials import method_of
 from jaxrelight.commands.options import LightOptions, Output, PictureOptions, ScenePath, ViewOptions
+from jaxrelight.timing import timed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +40,6 @@ class Render:
         start = time.perf_counter()
         from jaxrelight.commands.progress import notes, progress
         from jaxrelight.commands.summary import summarize
-        from jaxrelight.precomputation.groups import timed
 
         seconds: dict[str, float] = {}
         with timed(seconds, "imports"):
