@@ -21,6 +21,7 @@ FOLDERS = (
     "methods",
     "compilation_cache",
     "command_line",
+    "progress",
     "timing",
     "numerics",
     "files",

@@ -55,10 +55,11 @@ class Factors:
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_factors
         from jaxrelight.brdf.separable import separable
-        from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.summary import summarize, versions
+        from jaxrelight.command_line import versions
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.progress import notes, progress
 
         check_place(self.output, [".npz"], "factors")
         if self.refine and self.form != "svd":

@@ -14,7 +14,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.contract import Image, Relighter, behind
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import (
     LightGroup,
@@ -35,6 +35,7 @@ from jaxrelight.lights.sky import mean_radiance, nearest_directions, sky_of
 from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
+from jaxrelight.progress import Report
 from jaxrelight.transport.model import PrecomputedIndirect, PrecomputedTransport
 
 # Side of the cube map that is as fine as maps of a sky in the cloud are read.

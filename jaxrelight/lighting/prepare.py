@@ -6,7 +6,7 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter, sampled_materials
-from jaxrelight.lighting.contract import Relighter, Report
+from jaxrelight.lighting.contract import Relighter
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lighting.prefiltered import PrefilteredRelighter
 from jaxrelight.lighting.transport import TransportRelighter
@@ -14,6 +14,7 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
+from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry

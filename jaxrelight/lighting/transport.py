@@ -18,7 +18,7 @@ from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.contract import Image, Relighter, behind
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.pixels import SurfacePixels, padded
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
@@ -39,6 +39,7 @@ from jaxrelight.operators.algebra import Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sparse_rows import SparseRows
+from jaxrelight.progress import Report
 from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.model import Block, PrecomputedTransport

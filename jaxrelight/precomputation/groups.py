@@ -10,9 +10,6 @@ import threadpoolctl
 
 from jaxrelight.files import store
 
-# Told the stage, how many receivers are done and how many there are.
-Report = Callable[[str, int, int], None]
-
 
 def complete(
     layers: Sequence[store.Layer],
