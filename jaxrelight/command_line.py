@@ -72,9 +72,10 @@ def _parsed(prog: str, description: str, commands: Mapping[str, type]) -> Any:
     if named is None:
         about = f"{description} {prog} --version says which version this is."
         return tyro.extras.subcommand_cli_from_dict({**commands}, prog=prog, description=about, config=config)
-    # The others' options need not be read.
+    # The others' options need not be read, and nothing else where help is asked for.
     kind: Any = commands[named]
-    return tyro.cli(kind, prog=f"{prog} {named}", args=arguments[1:], config=config)
+    options = arguments[1:] if {"-h", "--help"}.isdisjoint(arguments) else ["--help"]
+    return tyro.cli(kind, prog=f"{prog} {named}", args=options, config=config)
 
 
 def _prepare_process():
