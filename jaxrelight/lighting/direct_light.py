@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lighting.shadows import LightGroup, Visibility, unpacked
+from jaxrelight.lighting.shadows import LightGroup, Visibility, sum_over_lights, unpacked
 from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces
 
 # Pixels shaded at a time: what is read and made for them fits a processor's cache.
@@ -81,12 +81,10 @@ def _reflected(radiance, components, pixels: SurfacePixels, positions, lights, b
         )
         return jnp.where(lit, value * omega_i[2] * irradiance * visible, 0)
 
-    @jax.checkpoint
-    def add(total, given):
-        light, bits = given
+    def one_light(light, bits):
         incident = light.at(positions)
         visible = unpacked(bits, start, count, positions.dtype)
         rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, incident.omega_i, incident.irradiance, visible
-        return total + jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH), None
+        return jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
 
-    return jax.lax.scan(add, radiance, (lights, bits))[0]
+    return sum_over_lights(one_light, radiance, lights, bits)

@@ -19,7 +19,7 @@ from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.lighting.contract import Image, Relighter, behind
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
@@ -30,7 +30,6 @@ from jaxrelight.lights.prefiltered import PrefilteredMaps, prefilter
 from jaxrelight.methods import Prefiltered
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import on_host
-from jaxrelight.progress import Report
 from jaxrelight.transport.model import SceneGeometry
 
 # How the cosine and the horizon come in: by a lobe that stands for the product, or outside the integral (eq. 11).

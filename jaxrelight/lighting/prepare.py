@@ -6,7 +6,7 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter, sampled_materials
-from jaxrelight.lighting.contract import Relighter
+from jaxrelight.lighting.contract import Relighter, Report
 from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lighting.prefiltered import PrefilteredRelighter
 from jaxrelight.lighting.transport import TransportRelighter
@@ -14,7 +14,6 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
-from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
@@ -98,12 +97,24 @@ def _refuse_store(method: Method, store: str | pathlib.Path | None):
 
 def _prepare_prefiltered(scene: Scene, method: Prefiltered) -> PrefilteredRelighter:
     materials = _materials(scene, method.minification)
-    return PrefilteredRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+    return PrefilteredRelighter(
+        materials=materials,
+        own_lights=scene.lights,
+        method=method,
+        camera=scene.camera,
+        geometry=_geometry(scene),
+    )
 
 
 def _prepare_adaptive(scene: Scene, method: Adaptive, report: Report | None) -> AdaptiveRelighter:
     materials = sampled_materials(_materials(scene, method.minification), report)
-    return AdaptiveRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+    return AdaptiveRelighter(
+        sampled_materials=materials,
+        own_lights=scene.lights,
+        method=method,
+        camera=scene.camera,
+        geometry=_geometry(scene),
+    )
 
 
 def _materials(scene: Scene, minification) -> tuple[SurfaceMaterial, ...]:

@@ -106,7 +106,7 @@ def _load(
     )
     kept = 1 - left / total if total else 1.0
     transport = PrecomputedTransport(tuple(blocks), _basis(method), method, stored, kept)
-    if points is None:
+    if points is None or not isinstance(method, Indirect):
         return transport
     return PrecomputedIndirect(transport, _read_cloud(folder, header, points, method))
 

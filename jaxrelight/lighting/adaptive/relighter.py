@@ -24,7 +24,7 @@ from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw
 from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
 from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
 from jaxrelight.lighting.antialiasing import averaged
-from jaxrelight.lighting.contract import Image, Relighter, behind
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
@@ -33,7 +33,6 @@ from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
 from jaxrelight.methods import Adaptive
 from jaxrelight.numerics.arrays import is_traced
-from jaxrelight.progress import Report
 from jaxrelight.transport.model import SceneGeometry
 
 # Samples that predict a pixel: pictures are no better by the paper's 16, and 0.1 dB better by 1,024.
