@@ -77,8 +77,6 @@ def make_picture(
 
     `view_options` are what the method's `view` takes beside the camera. What is done is added to the seconds.
     """
-    left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
-    notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
     with timed(seconds, "view"):
         view = relighter.view(camera, **view_options)
     how = {"background": command.picture.background == "environment", "layers": command.layers, "report": report}
@@ -88,6 +86,8 @@ def make_picture(
             write_layers(command.output, rgba, {name: np.asarray(layer) for name, layer in image.layers.items()})
         else:
             write_image(command.output, rgba, command.picture.exposure)
+    left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
+    notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
     shown = rgba[..., 3] > 0
     plan = image.measured.get("plan")
     return {
