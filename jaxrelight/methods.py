@@ -4,7 +4,10 @@ Each dial is documented here alone. Python, the command line, `--json` and the g
 heavy is imported, so that `--help` stays quick.
 """
 
+import ast
 import dataclasses
+import functools
+import inspect
 import math
 from typing import ClassVar, Literal
 
@@ -286,6 +289,19 @@ class Adaptive(Method):
 METHODS: dict[str, type[Method]] = {
     kind.__name__.lower(): kind for kind in (Transport, Indirect, Prefiltered, Adaptive)
 }
+
+
+@functools.cache
+def documentation(kind: type) -> dict[str, str]:
+    """What each field of a dataclass is for: the texts under the fields of its class, on one line each."""
+    (body,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(body, ast.ClassDef)
+    texts = {}
+    for field, text in zip(body.body, body.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            assert isinstance(field.target, ast.Name)
+            texts[field.target.id] = " ".join(str(text.value.value).split())
+    return texts
 
 
 def require(holds: bool, message: str):

@@ -21,6 +21,8 @@ FOLDERS = (
     "methods",
     "compilation_cache",
     "command_line",
+    "progress",
+    "timing",
     "numerics",
     "files",
     "images",

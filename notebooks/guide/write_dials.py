@@ -5,8 +5,7 @@ import inspect
 import pathlib
 import sys
 
-from jaxrelight.commands.dials import documentation
-from jaxrelight.methods import METHODS
+from jaxrelight.methods import METHODS, documentation
 
 PAGE = pathlib.Path(__file__).with_name("dials.md")
 START = """# Dials
