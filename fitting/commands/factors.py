@@ -54,10 +54,10 @@ class Factors:
         from jaxrelight.brdf.files.fitted import write_factors
         from jaxrelight.brdf.separable import separable
         from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.precomputation.groups import timed
 
         check_place(self.output, [".npz"], "factors")
         if self.refine and self.form != "svd":

@@ -54,9 +54,9 @@ class Lafortune:
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_lobes
         from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.precomputation.groups import timed
 
         check_place(self.output, [".toml"], "lobes")
         if self.report is not None:

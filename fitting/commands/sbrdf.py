@@ -55,10 +55,10 @@ class Sbrdf:
         from fitting.stack import load_stack
         from jaxrelight.brdf.files.sbrdf import write_sbrdf
         from jaxrelight.commands.progress import progress
-        from jaxrelight.commands.relight import timed
         from jaxrelight.commands.summary import summarize, versions
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.precomputation.groups import timed
 
         check_place(self.output, [".exr"], "maps")
         if self.hold_out < 0 or self.hold_out == 1:
