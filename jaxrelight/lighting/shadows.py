@@ -1,6 +1,7 @@
 """Shadow rays from surface points to lights. What they find is held fixed in derivatives."""
 
 import collections
+import functools
 import hashlib
 import weakref
 from collections.abc import Callable, Sequence
@@ -86,7 +87,7 @@ class LightGroup(eqx.Module):
 
     Attributes:
         lights: all of them.
-        is_real: which of them are no filling.
+        is_real: which of them are no filling, which reaches nothing.
     """
 
     lights: Punctual
@@ -123,7 +124,12 @@ def _stacked(parts: list[Punctual]) -> LightGroup:
 def all_visible(points: SurfacePoints, groups: Sequence[LightGroup]) -> Visibility:
     """What there is without shadows: every light reaches every point."""
     width = -(-len(points.positions) // 8)
-    return tuple(as_array(np.full((len(group.is_real), width), 255, np.uint8)) for group in groups)
+    return tuple(_everywhere(group.is_real, width) for group in groups)
+
+
+@functools.partial(jax.jit, static_argnames="width")
+def _everywhere(is_real, width: int) -> UInt8[Array, "n b"]:
+    return jnp.broadcast_to(jnp.where(is_real, 255, 0).astype(jnp.uint8)[:, None], (len(is_real), width))
 
 
 def trace_visibility(points: SurfacePoints, groups: Sequence[LightGroup]) -> Visibility:
@@ -173,7 +179,8 @@ def sum_over_lights(
 ) -> Float[Array, "p c"]:
     """What each light of a group gives, added to what others give, in the precision of both.
 
-    One light at a time, of which nothing is held for derivatives but the light itself.
+    One light at a time, of which nothing is held for derivatives but the light itself. Filling, and lights that reach
+    none of the points, cost nothing.
 
     Args:
         one: what a light with its packed visibility gives.
@@ -185,7 +192,8 @@ def sum_over_lights(
     one = jax.checkpoint(one)
 
     def add(total, given):
-        return total + one(*given), None
+        light, bits = given
+        return jax.lax.cond(jnp.any(bits), lambda: total + one(light, bits), lambda: total), None
 
     return jax.lax.scan(add, others.astype(jnp.result_type(others, first)), (lights, bits))[0]
 

@@ -14,7 +14,6 @@ from jaxrelight.lights.projector import projector
 from jaxrelight.lights.record import from_records, to_records
 from jaxrelight.lights.shaped import shaped
 from jaxrelight.lights.sky import even_sky
-from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
 
 LIGHTS = (
@@ -75,6 +74,6 @@ def test_a_store_keeps_the_lights_of_its_scene(tmp_path):
     camera = jr.Camera((0, 1, 0.5), (0, 0, 0), width=6, height=5)
     scene = jr.Scene([floor], {"floor": jr.lambert(0.5)}, camera, lights=LIGHTS[:4])
     precompute(scene, jr.Indirect(gather_samples=64, bounces=1), tmp_path)
-    found = load(tmp_path).lights
+    found = jr.open_store(tmp_path).scene_lights().local
     assert [type(one) for one in found] == [type(one) for one in LIGHTS[:4]]
     np.testing.assert_array_equal(found[3].image, LIGHTS[3].image)

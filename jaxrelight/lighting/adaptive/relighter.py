@@ -30,6 +30,7 @@ from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, gro
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
+from jaxrelight.lights.local import Directional
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
 from jaxrelight.methods import Adaptive
 from jaxrelight.numerics.arrays import is_traced
@@ -92,7 +93,7 @@ class AdaptiveLight(NamedTuple):
 
     Attributes:
         environment: None for none.
-        pyramid: of it, as samples see it; its sun is among the groups.
+        pyramid: of it, as samples see it; its sun is the last of the groups.
         groups: local lights, and the environment's sun.
     """
 
@@ -152,8 +153,9 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             return AdaptiveLight(None, None, group_lights(lights.local))
         pyramid = light_pyramid(lights.environment)
         # It comes from a few directions: no sample would find them.
-        local = [*lights.local, *([pyramid.sun] if len(pyramid.sun.directions) else [])]
-        return AdaptiveLight(lights.environment, pyramid, group_lights(local))
+        shining = jnp.any(pyramid.sun.irradiance > 0, axis=1)
+        sun = LightGroup(Directional(-pyramid.sun.directions, pyramid.sun.irradiance), shining)
+        return AdaptiveLight(lights.environment, pyramid, (*group_lights(lights.local), sun))
 
     def trace(self, lit: AdaptiveLight, view: AdaptiveView, *, report: Report | None = None) -> AdaptiveTraced:
         """The plan of samples, and all shadow rays: those of samples, and towards local lights.
