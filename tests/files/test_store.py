@@ -315,7 +315,9 @@ def test_full_disk_is_told_and_what_is_done_is_kept(tmp_path, monkeypatch):
 
 
 def test_header_round_trip(tmp_path):
-    store.write_header(tmp_path, {"scene": "büste", "method": {"name": "transport", "dials": {"terms": 4}}, "environment": None})
+    store.write_header(
+        tmp_path, {"scene": "büste", "method": {"name": "transport", "dials": {"terms": 4}}, "environment": None}
+    )
     assert store.read_header(tmp_path) == {
         "format": store.FORMAT,
         "scene": "büste",
@@ -363,7 +365,10 @@ def test_header_is_replaced_whole(tmp_path, monkeypatch):
 
 
 def test_every_flipped_bit_of_the_header_is_noticed(tmp_path):
-    store.write_header(tmp_path, {"scene": "x", "method": {"name": "transport", "dials": {"terms": 4, "scale": 0.5}}, "environment": None})
+    store.write_header(
+        tmp_path,
+        {"scene": "x", "method": {"name": "transport", "dials": {"terms": 4, "scale": 0.5}}, "environment": None},
+    )
     path = tmp_path / "store.json"
     good = path.read_bytes()
     for bit in range(8 * len(good)):
