@@ -10,9 +10,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.operators.algebra import InBasis, Summed
 from jaxrelight.operators.clustered import Bucket, Clustered, count_holders, find_holders
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import Composed, InBasis, Operator, Scaled, Summed
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.operators.stacked import Stacked
 
@@ -135,8 +134,8 @@ def sharded(operator: Operator, mesh: Mesh) -> Operator:
     with the same arguments.
 
     Args:
-        operator: `SparseRows` or `Clustered`; or `Stacked`, `Summed` or `InBasis` of such, of which every part is
-            spread by itself.
+        operator: `SparseRows` or `Clustered`; or `Stacked`, `Summed`, `Composed`, `Scaled` or `InBasis` of such, of
+            which every part is spread by itself.
         mesh: of one axis, of any name.
 
     Raises:
@@ -148,6 +147,10 @@ def sharded(operator: Operator, mesh: Mesh) -> Operator:
         return type(operator)(tuple(sharded(part, mesh) for part in operator.operators))
     if isinstance(operator, InBasis):
         return InBasis(sharded(operator.operator, mesh), operator.basis)
+    if isinstance(operator, Composed):
+        return Composed(sharded(operator.outer, mesh), sharded(operator.inner, mesh))
+    if isinstance(operator, Scaled):
+        return Scaled(sharded(operator.operator, mesh), operator.factor)
     # Operators leave it to the compiler where arrays lie between their steps.
     mesh = Mesh(mesh.devices, mesh.axis_names)
     if isinstance(operator, SparseRows):

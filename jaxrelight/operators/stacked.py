@@ -4,13 +4,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import Operator, check_channels
 
 
 class Stacked(Operator):
-    """The rows of the first operator, then those of the second, and so on: one for each material."""
+    """The rows of the first operator, then those of the second, and so on: one for each material.
+
+    Raises:
+        ValueError: for operators of other coefficients than the first, or of other channels, one aside.
+    """
 
     operators: tuple[Operator, ...]
+
+    def __check_init__(self):
+        first = self.operators[0].shape
+        for operator in self.operators[1:]:
+            if operator.shape[1] != first[1]:
+                raise ValueError(f"operators of shapes {first} and {operator.shape} cannot be stacked")
+        check_channels("stacked", self.operators)
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -12,7 +12,6 @@ from jax.sharding import Mesh
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factored import Factored
-from jaxrelight.operators.algebra import InBasis
 from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
@@ -94,12 +93,31 @@ def spread(matrix: np.ndarray, c: int = 3) -> np.ndarray:
     return np.broadcast_to(matrix, (len(matrix), c, matrix.shape[-1]))
 
 
+def summed(dtype) -> tuple[Operator, np.ndarray]:
+    (grey, one), (other, two) = sparse(6, 1, dtype), dense(6, 3, dtype)
+    return grey + other, spread(one) + two
+
+
+def composed(dtype) -> tuple[Operator, np.ndarray]:
+    """The outer one is grey, the inner one is not."""
+    inner, one = sparse(6, 3, dtype)
+    outer = np.random.default_rng(1).normal(size=(5, 1, 6)).astype(dtype)
+    return Dense(jax.device_put(outer)) @ inner, np.einsum("rj,jcd->rcd", outer[:, 0].astype(float), one)
+
+
+def scaled(dtype) -> tuple[Operator, np.ndarray]:
+    """By a number for each channel, which a grey operator has one of."""
+    operator, matrix = sparse(7, 1, dtype)
+    factor = np.array([0.5, -2, 3], dtype)
+    return factor * operator, factor[:, None] * spread(matrix)
+
+
 def in_basis(dtype) -> tuple[Operator, np.ndarray]:
     """The matrix of encoding has as rows the coefficients of each texel, by `decode` of each coefficient."""
     operator, matrix = sparse(7, 3, dtype)
     units: Any = np.eye(D, dtype=dtype)
     decoded = np.asarray(HaarFaces(4).decode(units), float)
-    return InBasis(operator, HaarFaces(4)), matrix @ decoded
+    return operator @ HaarFaces(4), matrix @ decoded
 
 
 def on_one_device(dtype) -> tuple[Operator, np.ndarray]:
@@ -142,6 +160,9 @@ CASES = {
     "clustered in 8 bits": functools.partial(in_clusters, 3, bits=8),
     "clustered in 16 bits, grey": functools.partial(in_clusters, 1, bits=16),
     "stacked": stacked,
+    "summed": summed,
+    "composed": composed,
+    "scaled": scaled,
     "in a basis": in_basis,
     "on one device": on_one_device,
     "streamed": functools.partial(streamed, 3),
@@ -150,7 +171,7 @@ CASES = {
 SMALL = ["dense", "sparse", "sparse grey", "sparse in 16 bits, grey", "clustered", "clustered grey"]
 SMALL += ["clustered in 8 bits", "clustered in 16 bits, grey", "stacked", "streamed", "streamed grey"]
 # Each is a few lines over what it is made of.
-MADE_OF_OTHERS = ["in a basis"]
+MADE_OF_OTHERS = ["summed", "composed", "scaled", "in a basis"]
 # `Streamed` reads its bits from the host; all others are plain pytrees. The stacked one holds one of each.
 PYTREES = ["sparse grey", "sparse in 16 bits, grey", "clustered", "clustered in 8 bits", "stacked"]
 # What other cases have, each by itself: of blocks, "sparse" and "sparse over a block"; grey, those in bits.
@@ -320,7 +341,7 @@ def test_results_have_the_precision_of_what_is_given(x64, name):
         assert precisions(operator, dtype) == [*[dtype] * 3, np.float32]
 
 
-@pytest.mark.parametrize("name", ["dense", "sparse", "clustered", "stacked"])
+@pytest.mark.parametrize("name", ["dense", "sparse", "clustered", "stacked", "summed", "composed", "scaled"])
 def test_an_operator_of_double_precision_takes_light_of_single(x64, name):
     operator, _ = CASES[name](np.float64)
     assert precisions(operator, np.float32) == [*[np.float32] * 3, np.float64]
