@@ -4,15 +4,16 @@ Keys stay what they are from version to version; new ones may come. Numbers are 
 rounding. A command that fails prints nothing on standard output: one line on standard error says why, with or without
 --json, and the exit status is 1 (2 for a wrong command line, 130 when it was interrupted).
 
-Of every command but info of what is no store:
+All commands that light, and, without seconds, info of a store:
 
     command          render, precompute, relight, demo, info
     versions         of jaxrelight, jax and embreex
     lighting         transport, indirect, prefiltered or adaptive
-    settings         the method's dials, by the names of the options
-    seconds          by stage, in the order they came: imports (of libraries), load (the scene and its lights); what
-                     precomputes: geometry, visibility, transport, bounce 1 …, or cloud, between, pixels; open (the
-                     store); environment (and other lights); view, light and shade (with what is compiled), write; total
+    settings         the method's dials, by their names in Python
+    seconds          by stage, in the order they came: imports (of libraries), load (the scene and its lights);
+                     geometry, visibility, transport, bounce 1 …, or cloud, between, pixels (of a precomputation);
+                     open (the store), environment (and local lights); view, light and shade (with what is compiled),
+                     write; total
 
 Precomputed lighting, transport and indirect:
 
