@@ -4,7 +4,7 @@ import collections
 import functools
 import hashlib
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -76,8 +76,10 @@ def surface_points(
     """
     length = bucket(max(len(positions), least), 1024)
     lifted = positions + OFFSET * face_normals
-    arrays = (filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
-    return SurfacePoints(*jax.device_put(tuple(arrays)), as_array(radius, np.float32), tracer)
+    origins, world, shading = jax.device_put(
+        tuple(filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
+    )
+    return SurfacePoints(origins, world, shading, as_array(radius, np.float32), tracer)
 
 
 class LightGroup(eqx.Module):
@@ -167,6 +169,33 @@ def trace_visibility(points: SurfacePoints, groups: Sequence[LightGroup]) -> Vis
 def unpacked(bits: UInt8[Array, " b"], start: Int[Array, ""], count: int, dtype) -> Float[Array, " p"]:
     """Visibility of some points by a light, 1 or 0."""
     return jax.lax.dynamic_slice_in_dim(jnp.unpackbits(bits), start, count).astype(dtype)
+
+
+def sum_over_lights(
+    one: Callable[[Punctual, UInt8[Array, " b"]], Float[Array, "p c"]],
+    others: Float[Array, "p c"],
+    lights: Punctual,
+    bits: UInt8[Array, "n b"],
+) -> Float[Array, "p c"]:
+    """What each light of a group gives, added to what others give, in the precision of both.
+
+    One light at a time, of which nothing is held for derivatives but the light itself. Filling, and lights that reach
+    none of the points, cost nothing.
+
+    Args:
+        one: what a light with its packed visibility gives.
+        others: what others give.
+        lights: of a group.
+        bits: their visibility.
+    """
+    first = jax.eval_shape(one, *jax.tree.map(lambda x: x[0], (lights, bits)))
+    one = jax.checkpoint(one)
+
+    def add(total, given):
+        light, bits = given
+        return jax.lax.cond(jnp.any(bits), lambda: total + one(light, bits), lambda: total), None
+
+    return jax.lax.scan(add, others.astype(jnp.result_type(others, first)), (lights, bits))[0]
 
 
 def _incidents(points: SurfacePoints, group: LightGroup):

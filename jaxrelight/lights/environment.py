@@ -63,9 +63,7 @@ class Environment(eqx.Module):
         else:
             checked, more = _checked(pixels, "the environment", zero_nonfinite=False)
             self.pixels, notes = as_array(checked), (*notes, *more)
-        numbers = [number for number in (rotate_y, scale) if not isinstance(number, Tracer)]
-        if not np.all(np.isfinite(numbers)) or not (isinstance(scale, Tracer) or scale >= 0):
-            raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
+        _check_placement(rotate_y, scale)
         # Whole numbers would be compiled for apart.
         self.rotate_y, self.scale = (
             number if isinstance(number, jax.Array) else float(number) for number in (rotate_y, scale)
@@ -82,7 +80,15 @@ class Environment(eqx.Module):
     ) -> "Environment":
         """The same map, turned or scaled otherwise."""
         rotate_y, scale = (own if new is None else new for own, new in ((self.rotate_y, rotate_y), (self.scale, scale)))
-        return Environment(self.pixels, rotate_y, scale, self.notes)
+        _check_placement(rotate_y, scale)
+        # The pixels are checked already; a light that turns would wait for that in every picture.
+        return eqx.tree_at(lambda of: (of.rotate_y, of.scale), self, (rotate_y, scale))
+
+
+def _check_placement(rotate_y: float | Float[Array, ""], scale: float | Float[Array, ""]):
+    numbers = [np.asarray(number) for number in (rotate_y, scale) if not isinstance(number, Tracer)]
+    if not np.all(np.isfinite(numbers)) or not (isinstance(scale, Tracer) or scale >= 0):
+        raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
 
 
 def environment(
@@ -119,7 +125,7 @@ def environment(
 def _checked(pixels, name: str, zero_nonfinite: bool) -> tuple[np.ndarray, list[str]]:
     """Pixels of three channels, finite and not negative, and what was mended."""
     pixels = np.asarray(pixels)
-    if pixels.dtype != np.float64 or not jax.config.jax_enable_x64:
+    if pixels.dtype != np.float64 or jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float32, copy=False)
     if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4):

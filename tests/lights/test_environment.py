@@ -169,6 +169,16 @@ def test_bad_placement_is_refused(placement):
         any_environment(sky(), *placement)
 
 
+def test_an_environment_turned_or_scaled_has_the_same_pixels_and_notes():
+    made = environment(np.where(sky() < 0.2, -1, sky()), 30, 2, name="sky.exr")
+    turned = made.with_(rotate_y=40.0)
+    assert turned.pixels is made.pixels
+    assert (turned.rotate_y, turned.scale, turned.notes) == (40.0, 2, made.notes)
+    assert (made.with_(scale=3.0).rotate_y, made.with_(1.0, 1.0).scale) == (30, 1.0)
+    with pytest.raises(InputError, match="rotate_y must be finite"):
+        made.with_(scale=-1.0)
+
+
 def test_load_reads_an_image_and_names_it(tmp_path):
     pixels = sky()
     pixels[0, 0, 0] = -1
