@@ -63,11 +63,7 @@ class Environment(eqx.Module):
         else:
             checked, more = _checked(pixels, "the environment", zero_nonfinite=False)
             self.pixels, notes = as_array(checked), (*notes, *more)
-        _check_placement(rotate_y, scale)
-        # Whole numbers would be compiled for apart.
-        self.rotate_y, self.scale = (
-            number if isinstance(number, jax.Array) else float(number) for number in (rotate_y, scale)
-        )
+        self.rotate_y, self.scale = _placement(rotate_y, scale)
         self._notes = _Unseen(notes)
 
     @property
@@ -80,15 +76,16 @@ class Environment(eqx.Module):
     ) -> "Environment":
         """The same map, turned or scaled otherwise."""
         rotate_y, scale = (own if new is None else new for own, new in ((self.rotate_y, rotate_y), (self.scale, scale)))
-        _check_placement(rotate_y, scale)
         # The pixels are checked already; a light that turns would wait for that in every picture.
-        return eqx.tree_at(lambda of: (of.rotate_y, of.scale), self, (rotate_y, scale))
+        return eqx.tree_at(lambda of: (of.rotate_y, of.scale), self, _placement(rotate_y, scale))
 
 
-def _check_placement(rotate_y: float | Float[Array, ""], scale: float | Float[Array, ""]):
+def _placement(rotate_y: float | Float[Array, ""], scale: float | Float[Array, ""]):
+    """Both numbers, checked; whole ones are no others than real ones, and nothing is compiled anew for them."""
     numbers = [np.asarray(number) for number in (rotate_y, scale) if not isinstance(number, Tracer)]
     if not np.all(np.isfinite(numbers)) or not (isinstance(scale, Tracer) or scale >= 0):
         raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
+    return tuple(number if isinstance(number, jax.Array) else float(number) for number in (rotate_y, scale))
 
 
 def environment(

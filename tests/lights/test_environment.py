@@ -43,7 +43,7 @@ def test_whole_numbers_are_no_other_kind_of_environment():
     assert jax.tree.map(type, whole) == jax.tree.map(type, real)
     turned = real.with_(rotate_y=jax.numpy.asarray(40.0))
     assert isinstance(turned.rotate_y, jax.Array)
-    assert type(turned.scale) is float
+    assert type(turned.scale) is type(real.with_(scale=3).scale) is float
 
 
 def test_negative_pixels_are_clamped_and_counted():
