@@ -1,15 +1,18 @@
 """What all lighting methods have in common: view, light, trace, shade, and the picture that comes of it."""
 
 import abc
+import functools
+from collections.abc import Sequence
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Method
 from jaxrelight.progress import Report
@@ -124,6 +127,22 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         lit, view = self.light(self.scene_lights() if lights is None else as_lights(lights)), self.view(camera)
         image = self.shade(lit, view)
         return image.rgba(self.background(lit, view) if background else None)
+
+
+@functools.partial(jax.jit, static_argnames="factor")
+def image_of(parts: Sequence[Float[Array, "fh fw 3"] | None], covered: Bool[Array, "fh fw"], factor: int = 1) -> Image:
+    """The picture of what adds up to its radiance, black without anything: one program, whatever there is.
+
+    Args:
+        parts: radiance of surfaces; None for nothing.
+        covered: which samples show a surface.
+        factor: samples along each side of a pixel.
+    """
+    radiance = sum((part for part in parts if part is not None), jnp.zeros((*covered.shape, 3), jnp.float32))
+    alpha = covered.astype(radiance.dtype)[..., None]
+    if factor > 1:
+        radiance, alpha = averaged(radiance, factor), averaged(alpha, factor)
+    return Image(radiance, alpha[..., 0])
 
 
 @jax.jit

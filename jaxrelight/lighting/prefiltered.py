@@ -19,7 +19,7 @@ from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
@@ -104,18 +104,13 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
     ) -> Image:
         """Radiance under the filtered environment, which casts no shadows, and under local lights."""
         traced = self.trace(lit, view) if traced is None else traced
-        radiance = view.image([])
-        if lit.maps is not None and lit.environment is not None:
-            method, sky = self.method, lit.environment
+        method, sky, under = self.method, lit.environment, None
+        if lit.maps is not None and sky is not None:
             under = shade_environment(
                 self.materials, view, lit.maps, sky.rotate_y, sky.scale, method.horizon, method.texels
             )
-            radiance = radiance + under
-        direct = shade_lights(self.materials, view, lit.groups, traced, self.method.texels)
-        emission = view.emission(self.materials)
-        for more in (direct, emission):
-            radiance = radiance if more is None else radiance + more
-        return Image(radiance, view.covered.astype(radiance.dtype))
+        direct = shade_lights(self.materials, view, lit.groups, traced, method.texels)
+        return image_of((under, direct, view.emission(self.materials)), view.covered)
 
     def background(self, lit: PrefilteredLight, view: VisibleSurfaces) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""

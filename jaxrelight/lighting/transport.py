@@ -19,7 +19,7 @@ from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.pixels import SurfacePixels, padded
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
@@ -245,10 +245,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     ) -> Image:
         """Radiance of every pixel: light terms closed by the view, direct light of local lights, and emission."""
         traced = self.trace(lit, view) if traced is None else traced
-        radiance = self.shade_terms(lit.terms, view)
         direct = shade_lights(self.materials, view.surfaces, lit.groups, traced)
-        radiance = radiance if direct is None else radiance + direct
-        return Image(radiance, view.surfaces.covered.astype(radiance.dtype))
+        return image_of((self.shade_terms(lit.terms, view), direct), view.surfaces.covered)
 
     def shade_terms(
         self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...] | None = None

@@ -5,6 +5,7 @@ each of them gets, and the weights by which all others lie between them. Compone
 multiplied by its textures in every pixel, so textures never ask for shading.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,7 +25,7 @@ from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw
 from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
 from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
 from jaxrelight.lighting.antialiasing import averaged
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
@@ -217,17 +218,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             plan = None if lit.pyramid is None else self.plan(lit, view, report=report)
             traced = AdaptiveTraced(plan, None, self._visibility(lit, view))
         surfaces, plan = view.surfaces, traced.plan
-        radiance, measured = surfaces.image([]), {}
-        if plan is not None and lit.pyramid is not None:
-            radiance = self._by_samples(lit.pyramid, view, plan, traced.work, report)
-            measured = {"plan": plan}
+        is_planned = plan is not None and lit.pyramid is not None
+        under = self._by_samples(lit.pyramid, view, plan, traced.work, report) if is_planned else None
         direct = shade_lights(self.materials, surfaces, lit.groups, traced.visibility)
-        for more in (direct, surfaces.emission(self.materials)):
-            radiance = radiance if more is None else radiance + more
-        alpha = surfaces.covered.astype(radiance.dtype)[..., None]
-        if view.factor > 1:
-            radiance, alpha = averaged(radiance, view.factor), averaged(alpha, view.factor)
-        return Image(radiance, alpha[..., 0], {}, measured)
+        image = image_of((under, direct, surfaces.emission(self.materials)), surfaces.covered, view.factor)
+        return dataclasses.replace(image, measured={"plan": plan}) if is_planned else image
 
     def background(self, lit: AdaptiveLight, view: AdaptiveView) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""
