@@ -228,25 +228,32 @@ FLAT = {
     "adaptive": Adaptive(samples=1024),
 }
 ALBEDO = np.array([0.7, 0.4, 0.2])
+# Where the plane's width, normal and height point: it leans, so that it sees skies turn.
+AXES = np.array([[0.8, 0.0, -0.6], [0.36, 0.8, 0.48], [0.48, -0.6, 0.64]])
 
 
 @pytest.fixture(scope="module")
-def floors(tmp_path_factory) -> dict[str, jr.Relighter]:
+def planes(tmp_path_factory) -> dict[str, jr.Relighter]:
     """A coloured plane alone, by all methods."""
-    camera, folder = jr.Camera((0.1, 1.0, 0.3), (0, 0, 0), fov_y=40, width=6, height=5), tmp_path_factory.mktemp("flat")
-    floor = Scene([Part(jr.plane((4, 4), 1), "floor")], {"floor": jr.lambert(ALBEDO)}, camera)
-    return {name: jr.prepare(floor, method, store(name, folder)) for name, method in FLAT.items()}
+    camera, folder = (
+        jr.Camera(1.2 * AXES[1] + 0.2, (0, 0, 0), fov_y=40, width=6, height=5),
+        tmp_path_factory.mktemp("p"),
+    )
+    lean = np.eye(4)
+    lean[:3, :3] = AXES.T
+    plane = Scene([Part(transformed(jr.plane((4, 4), 1), lean), "paper")], {"paper": jr.lambert(ALBEDO)}, camera)
+    return {name: jr.prepare(plane, method, store(name, folder)) for name, method in FLAT.items()}
 
 
 @pytest.mark.parametrize("name", FLAT)
-def test_lambert_under_a_constant_sky_is_albedo_times_radiance(name, floors):
-    found = floors[name].picture(jr.environment(np.ones((8, 16, 3)), 70.0, 10.0))
+def test_lambert_under_a_constant_sky_is_albedo_times_radiance(name, planes):
+    found = planes[name].picture(jr.environment(np.ones((8, 16, 3)), 70.0, 10.0))
     assert (found[..., 3] == 1).all()
     np.testing.assert_allclose(found[..., :3], np.broadcast_to(10 * ALBEDO, (5, 6, 3)), rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", FLAT)
-def test_all_methods_give_the_same_under_a_sky_that_is_turned_and_scaled(name, floors):
+def test_all_methods_give_the_same_under_a_sky_that_is_turned_and_scaled(name, planes):
     """As sums over the sky's pixels have it, each cut into many."""
     v, u = (np.indices((8, 16)) + 0.5) / np.array([[[8]], [[16]]])
     glow = np.exp(-40 * ((u - 0.3) ** 2 + (v - 0.25) ** 2))[..., None] * [8, 6, 4]
@@ -254,7 +261,8 @@ def test_all_methods_give_the_same_under_a_sky_that_is_turned_and_scaled(name, f
     pixels = (1 - v)[..., None] * [0.5, 0.7, 1] + glow + grain
     fine = pixels.repeat(64, axis=0).repeat(64, axis=1)
     v, u = (np.indices(fine.shape[:2]) + 0.5) / np.array([[[512]], [[1024]]])
-    cosine = np.maximum(latlong.directions(u, v)[..., 1], 0) * latlong.solid_angles(512, 1024)[:, None]
-    wanted = 10 * ALBEDO / np.pi * np.einsum("hw,hwc->c", cosine, fine)
-    found = floors[name].picture(jr.environment(pixels, 70.0, 10.0))[..., :3]
+    # Counter-clockwise seen from +y.
+    towards, area = latlong.directions(u - 70 / 360, v), latlong.solid_angles(512, 1024)[:, None]
+    wanted = 10 * ALBEDO / np.pi * np.einsum("hw,hwc->c", np.maximum(towards @ AXES[1], 0) * area, fine)
+    found = planes[name].picture(jr.environment(pixels, 70.0, 10.0))[..., :3]
     np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.01)
