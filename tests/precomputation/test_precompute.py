@@ -13,6 +13,7 @@ import sys
 import time
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -243,6 +244,18 @@ def test_environment_is_not_part_of_the_keys(scene, copy):
     assert (stored.rotate_y, stored.scale) == (20, 3)
 
 
+def test_local_lights_are_not_part_of_the_keys(scene, copy):
+    """The store keeps them beside the environment as the scene's own."""
+    old, sky = _layers(copy), scene.lights.environment
+    lamp = jr.point([0.5, 2.0, 1.0], [3.0, 2.0, 1.0])
+    assert precompute(dataclasses.replace(scene, lights=[sky, lamp]), METHOD, copy).rays == 0
+    assert _layers(copy) - old == {store.read_header(copy)["lights"]["layer"]}
+    stored = open_transport(copy).scene_lights()
+    assert stored.environment is not None
+    np.testing.assert_array_equal(stored.environment.pixels, sky.pixels)
+    assert eqx.tree_equal(stored.local, (lamp,))
+
+
 def test_equal_runs_make_equal_files(scene, made, tmp_path):
     precompute(scene, METHOD, tmp_path / "again")
     assert _files(tmp_path / "again") == _files(made)
@@ -397,6 +410,19 @@ def test_other_scene_in_the_same_store_meanwhile(scene, copy):
     transport = load_transport(copy, mine.header)
     assert transport.method == METHOD
     assert transport.stored.lights().environment is not None
+
+
+def test_what_a_store_holds_is_a_pytree_of_arrays(made):
+    """All of its numbers can be arguments of a compiled function; what is not compiled for is equal by its key."""
+    one, other = load_transport(made), load_transport(made)
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(one))
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    light = np.random.default_rng(4).random((6 * METHOD.resolution**2, 3)).astype(np.float32)
+    compiled = jax.jit(lambda transport, light: TransportRelighter(transport).terms(light))
+    for found, wanted in zip(compiled(one, light), TransportRelighter(other).terms(light), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+    compiled(other, light)
+    assert compiled._cache_size() == 1
 
 
 # What was stopped goes on.

@@ -1,5 +1,6 @@
 """Scene files: what loads, and what is refused in one line that says where and what."""
 
+import dataclasses
 import pathlib
 import re
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxrelight import InputError, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
+from jaxrelight import InputError, Scene, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
 from jaxrelight.brdf.material import as_material
 from tests.shared_data import shared
 
@@ -142,6 +143,23 @@ def test_defaults(folder):
     assert not scene.lights
     assert (scene.camera.width, scene.camera.height, scene.camera.fov_y) == (512, 512, 38)
     np.testing.assert_array_equal(scene.parts[0].mesh.vertices, plane(resolution=2).vertices)
+
+
+def test_lights_are_an_environment_and_local_ones_together(folder):
+    """From a file as from code, and in any form that stands for them."""
+    lamp = '[[light]]\ntype = "point"\nposition = [0, 1, 0]\nintensity = 2\n'
+    scene = load_scene(_write(folder, SMALL + '[environment]\nfile = "sky.exr"\n' + lamp))
+    environment, local = scene.lights.environment, scene.lights.local
+    assert environment is not None
+    assert [type(light).__name__ for light in local] == ["Point"]
+    for given in (scene.lights, [environment, *local], [*local, environment]):
+        other = Scene(scene.parts, scene.materials, scene.camera, given)
+        assert (other.lights.environment, other.lights.local) == (environment, local)
+    for given, wanted in ((environment, (environment, ())), (local[0], (None, local)), (None, (None, ()))):
+        other = dataclasses.replace(scene, lights=given)
+        assert (other.lights.environment, other.lights.local) == wanted
+    with pytest.raises(InputError, match="2 environments were given; a scene has one at most"):
+        dataclasses.replace(scene, lights=[environment, environment])
 
 
 def test_terms_of_a_material(folder):
