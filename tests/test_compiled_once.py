@@ -3,7 +3,6 @@
 import functools
 import pathlib
 import re
-import tempfile
 from collections.abc import Callable
 from typing import Any
 
@@ -33,7 +32,6 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.sampling import CellSampler, directional_albedo
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import factor_spatial
-from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lighting.prefiltered import PrefilteredRelighter
 from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.lights.environment import encode
@@ -121,15 +119,6 @@ def background(seed: int):
     return relighter(seed).background(relighter(seed).light(sky(seed)), view(seed))
 
 
-@functools.cache
-def gathering() -> IndirectRelighter:
-    method = jr.Indirect(gather_samples=64, bounces=1, direct_samples=1)
-    with tempfile.TemporaryDirectory() as folder:
-        found = jr.prepare(scene(0), method, folder)
-    assert isinstance(found, IndirectRelighter)
-    return found
-
-
 # By the file that loops. What is lit by a whole scene is counted in `lighting/test_compilations.py`.
 FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     "basis/zonal": [lambda seed: zonal.zonal_means(values(seed, 8, 16, 3), 2.0 + seed)],
@@ -150,7 +139,6 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     "fitting/solve": [fit],
     "fitting/starts": [fit],
     "lighting/direct_light": [lambda seed: shaded(seed, jr.point([seed, 3.0, 1], 2.0 + seed))],
-    "lighting/indirect": [lambda seed: gathering().light(jr.point([seed, 3.0, 1], 2.0 + seed))],
     "lighting/prefiltered": [lambda seed: shaded(seed, sky(seed)), background],
     "lights/sky": [lambda seed: jr.sky_of(sky(seed), 16)],
     "lights/sun": [lambda seed: without_sun(with_sun(seed))],
@@ -180,7 +168,7 @@ ELSEWHERE = {
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
 }
 # What takes seconds to compile the first time.
-DEAR = "fitting/factors", "fitting/sbrdf_levels", "lighting/indirect"
+DEAR = "fitting/factors", "fitting/sbrdf_levels"
 CASES = [
     pytest.param(file, number, marks=[pytest.mark.slow] * (file in DEAR))
     for file, of_file in FUNCTIONS.items()

@@ -171,7 +171,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         resampling = latlong.area_resampling(height, width, self.method.resolution)
         return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
 
-    def terms(self, light: Float[Array, "*n d c"]) -> LightTerms:
+    def terms(self, light: Float[Array | np.ndarray, "*n d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator.
 
         Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
