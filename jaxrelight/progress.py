@@ -58,14 +58,14 @@ def _bars():
 
 @contextlib.contextmanager
 def _lines(quiet: bool):
-    start = told = time.monotonic()
-    current, first = "", 0
+    # Of each stage when it began, and how much was done by then.
+    began: dict[str, tuple[float, int]] = {}
+    told = time.monotonic()
 
     def show(stage: str, done: int, total: int):
-        nonlocal start, told, current, first
+        nonlocal told
         now = time.monotonic()
-        if stage != current:
-            current, start, first = stage, now, done
+        start, first = began.setdefault(stage, (now, done))
         if not quiet and now - told > _PAUSE and first < done < total:
             told = now
             left = (now - start) / (done - first) * (total - done)

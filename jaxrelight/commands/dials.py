@@ -27,8 +27,11 @@ def with_dials(command: Any, arguments: Sequence[str]) -> type:
     """
     shows_all = HELP_ALL in arguments
     asks_for_help = shows_all or not {"-h", "--help"}.isdisjoint(arguments)
-    lighting, why = _chosen_lighting(command, arguments)
-    if not asks_for_help and (refused := _refusal(command, arguments, lighting, why)):
+    lighting, why = _chosen_lighting(arguments)
+    refused = "" if asks_for_help else _refusal(arguments, lighting, why)
+    if lighting not in get_args(get_type_hints(command)["lighting"]):
+        refused = f"--lighting {lighting} precomputes nothing; render with it, or precompute transport or indirect"
+    if refused:
         print(f"jaxrelight: {refused}", file=sys.stderr)
         sys.exit(2)
     method, hides = METHODS[lighting], asks_for_help and not shows_all
@@ -71,12 +74,15 @@ def _options(kind: type, hidden: Collection[str]) -> list[tuple[str, Any, Any]]:
     return options
 
 
-def _chosen_lighting(command: Any, arguments: Sequence[str]) -> tuple[str, str]:
+def _chosen_lighting(arguments: Sequence[str]) -> tuple[str, str]:
     """The name of the lighting method that arguments ask for, or that the scene's lights do; and why it is that."""
-    given = _read(arguments)
-    if given.lighting in _methods_of(command):
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--lighting", nargs="?")
+    parser.add_argument("--env", nargs="?")
+    given, others = parser.parse_known_args(arguments)
+    if given.lighting in METHODS:
         return given.lighting, f"this is --lighting {given.lighting}"
-    path = next((argument for argument in arguments if argument.lower().endswith(".toml")), None)
+    path = next((argument for argument in others if argument.lower().endswith(".toml")), None)
     try:
         scene = tomllib.loads(pathlib.Path(path).read_text(encoding="utf-8-sig")) if path else {}
     except (OSError, ValueError, RecursionError):
@@ -86,11 +92,8 @@ def _chosen_lighting(command: Any, arguments: Sequence[str]) -> tuple[str, str]:
     return "transport", "this scene does not have local lights alone, so the lighting method is transport"
 
 
-def _refusal(command: Any, arguments: Sequence[str], lighting: str, why: str) -> str:
-    """What is wrong with arguments: a method that the command has not, or an option of other methods; or nothing."""
-    asked = _read(arguments).lighting
-    if asked in METHODS and asked not in _methods_of(command):
-        return f"--lighting {asked} precomputes nothing; render with it, or precompute transport or indirect"
+def _refusal(arguments: Sequence[str], lighting: str, why: str) -> str:
+    """The first option that other lighting methods have and this one has not, in a line; or nothing."""
     for argument in arguments:
         option = argument.partition("=")[0].replace("_", "-")
         name = option.removeprefix("--").removeprefix("no-").replace("-", "_")
@@ -98,16 +101,3 @@ def _refusal(command: Any, arguments: Sequence[str], lighting: str, why: str) ->
         if option.startswith("--") and owners and lighting not in owners and name not in _SHARED:
             return f"{option} is a dial of --lighting {' or '.join(owners)}; {why}"
     return ""
-
-
-def _methods_of(command: Any) -> tuple[str, ...]:
-    """The lighting methods that a command has."""
-    return tuple(name for name in get_args(get_type_hints(command)["lighting"]) if name in METHODS)
-
-
-def _read(arguments: Sequence[str]) -> argparse.Namespace:
-    """The options that say which method it is."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--lighting", nargs="?")
-    parser.add_argument("--env", nargs="?")
-    return parser.parse_known_args(arguments)[0]

@@ -1,7 +1,6 @@
 """Options that several commands share. Nothing heavy is imported here, so that --help stays quick."""
 
 import dataclasses
-import importlib
 import pathlib
 import sys
 from collections.abc import Sequence
@@ -31,13 +30,12 @@ def import_modules(names: Sequence[str]) -> None:
     Raises:
         InputError: for one that cannot be imported.
     """
-    if names and "" not in sys.path:
+    if names:
+        from jaxrelight.files.class_record import import_classes
+
         sys.path.insert(0, "")  # the current folder
-    for name in names:
-        try:
-            importlib.import_module(name)
-        except Exception as error:
-            raise InputError(f"--import {name}: {error}; it takes a Python module here or on PYTHONPATH") from None
+        for name in names:
+            import_classes(name)
 
 
 @dataclasses.dataclass(frozen=True)

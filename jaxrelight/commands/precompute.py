@@ -24,8 +24,8 @@ class Precompute:
     output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o", "--store"], metavar="STORE")] = None
     """The store's folder; by default one in the user's cache folder."""
     lighting: Literal["auto", "transport", "indirect"] = "auto"
-    """'transport' is for an environment; 'indirect' for lights anywhere, whose light surfaces pass on. 'auto' is
-    indirect for a scene with local lights alone, and transport otherwise."""
+    """'transport' is for an environment, and local lights add direct light; 'indirect' is for lights anywhere, whose
+    light surfaces pass on. 'auto' is indirect for a scene with local lights alone, and transport otherwise."""
     zero_nonfinite: bool = False
     """Set NaN and infinite pixels of the environment to 0 instead of refusing it."""
     modules: Modules = ()

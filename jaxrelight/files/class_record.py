@@ -92,7 +92,7 @@ def find_class(name: str, base: type | tuple[type, ...], what: str) -> type:
     if found is None:
         raise InputError(
             f"{said}, which is not imported, and a store does not import modules, since that runs their code; "
-            f"import {module} before the store is opened"
+            f"import {module} before the store is opened, on the command line by --import {module}"
         )
     if not (isinstance(found, type) and issubclass(found, base)) or inspect.isabstract(found):
         raise InputError(f"{said}, which cannot be one of what a store holds there; run precompute again")

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
+from jaxrelight.errors import InputError
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.shadows import LightGroup, Visibility, sum_over_lights, unpacked
 from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces
@@ -37,7 +38,12 @@ def shade_lights(
         groups: the lights.
         visibility: of each group, from `trace_visibility`.
         texels: what is interpolated between the texels of an SBRDF.
+
+    Raises:
+        InputError: for the visibility of other lights.
     """
+    if [len(bits) for bits in visibility] != [len(group.is_real) for group in groups]:
+        raise InputError("what was traced is of other lights; call trace again with the light that is shaded")
     if not groups:
         return None
     rows = []

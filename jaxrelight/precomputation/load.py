@@ -69,12 +69,26 @@ def load(
         ) from None
 
 
+def _method_of(record: dict) -> Transport | Indirect:
+    """The lighting method of a store.
+
+    Raises:
+        ValueError: for one without stores, or a dial outside its range.
+    """
+    try:
+        method = METHODS[record["name"]](**record["dials"])
+    except InputError as error:
+        raise ValueError(error) from None
+    if not isinstance(method, Transport | Indirect):
+        raise ValueError(f"{method.name} lighting has no store")
+    return method
+
+
 def _load(
     folder: pathlib.Path, header: dict, geometry: SceneGeometry | None
 ) -> PrecomputedTransport | PrecomputedIndirect:
     store.layers_of(header)  # refuses names of anything else before any is opened
-    method = METHODS[header["method"]["name"]](**header["method"]["dials"])
-    assert isinstance(method, Transport | Indirect)
+    method = _method_of(header["method"])
     camera = Camera(**header["camera"])
     geometry = geometry or _geometry(folder, header, camera, method)
     receivers = geometry.receivers

@@ -17,9 +17,9 @@ from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_encode
 from jaxrelight.images.tone import to_unit
 from jaxrelight.lighting.adaptive.planning import Plan
-from jaxrelight.lighting.adaptive.shader import AdaptiveShader
-from jaxrelight.lighting.prefiltered import look_at
-from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
+from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter
+from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.shadows import all_visible, trace_visibility
 from tests.benchmarks.measuring import Report, percent, shared
 
 MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply", "spot": "spot.obj"}
@@ -73,16 +73,33 @@ class Case:
     def __init__(self, mesh: str, material: str, size: int, samples: int, *, shadows: bool):
         self.name, self.samples, self.shadows = f"{mesh}, {material}", samples, shadows
         scene = scene_of(mesh, brdf_of(material), size, floor=shadows)
-        assert scene.environment is not None
-        self.light: LightPyramid = light_pyramid(scene.environment)
-        self.shader = AdaptiveShader(look_at(scene), scene.camera)
-        self.covered: Bool[np.ndarray, "h w"] = self.shader.seen.covered
+        self._relighter = prepared(scene, shadows=shadows)
+        self.lit, self.view = self._relighter.light(scene.lights), self._relighter.view()
+        self.covered: Bool[np.ndarray, "h w"] = np.asarray(self.view.surfaces.covered)
+        self.white = 1.0
         self.truth = np.asarray(self.uniform(TRUTH * samples, SEED, filtered=True))
         self.white = float(np.quantile(self.truth[self.covered].mean(axis=1), WHITE))
 
+    def relighter(self, **dials) -> AdaptiveRelighter:
+        """With this picture's white, and other dials."""
+        method = dataclasses.replace(self._relighter.method, exposure=-float(np.log2(self.white)), **dials)
+        return dataclasses.replace(self._relighter, method=method)
+
     def uniform(self, samples: int, seed: int = 0, *, filtered: bool = False):
         """The same number in every pixel."""
-        return self.shader.uniform(self.light, samples, seed, filtered=filtered, shadows=self.shadows)
+        relighter = self.relighter(seed=seed)
+        return self._with_sun(relighter.shade_uniform(self.lit, self.view, samples, filtered=filtered))
+
+    def adaptive(self, plan: Plan, *, filtered: bool = True):
+        """The picture of a plan."""
+        return self._with_sun(self.relighter().shade_plan(self.lit, self.view, plan, filtered=filtered))
+
+    def _with_sun(self, radiance):
+        """No sample finds the environment's sun, which is a light of its own."""
+        surfaces, groups = self.view.surfaces, self.lit.groups
+        traced = trace_visibility(surfaces.points, groups) if self.shadows else all_visible(surfaces.points, groups)
+        direct = shade_lights(self._relighter.materials, surfaces, groups, traced)
+        return radiance if direct is None else radiance + direct
 
     def baseline(self) -> tuple[float, float]:
         """Its quality and time."""
@@ -93,9 +110,13 @@ class Case:
         seconds = time.perf_counter() - start
         return self.psnr(image), seconds
 
-    def plan(self, **dials) -> Plan:
-        """With this picture's white."""
-        return self.shader.plan(self.light, white=self.white, shadows=self.shadows, **dials)
+    def predicted(self, **count: int):
+        """Bandwidth and noise."""
+        return self._relighter.predicted(self.lit, self.view, **count)
+
+    def plan(self, samples: float, predicted=None) -> Plan:
+        """Of a budget, by what is predicted."""
+        return self.relighter(samples=samples).plan(self.lit, self.view, predicted)
 
     def psnr(self, image) -> float:
         """Of displayed values, from 0 to 1, of covered pixels."""
@@ -144,7 +165,7 @@ def as_good(case: Case, wanted: float, baseline: float, *, filtered: bool = True
     """The baseline, and the least budget whose picture is as good."""
 
     def good(budget: float) -> bool:
-        return case.psnr(case.shader.shade(case.plan(samples=budget), case.light, filtered=filtered)) >= wanted
+        return case.psnr(case.adaptive(case.plan(budget), filtered=filtered)) >= wanted
 
     budget = first_good(good, 2 * case.samples)
     one = _run(case, budget, filtered)
@@ -168,14 +189,21 @@ def as_good(case: Case, wanted: float, baseline: float, *, filtered: bool = True
 
 def _run(case: Case, budget: float, filtered: bool) -> tuple[Plan, float, float, float]:
     """A plan, and the seconds that prediction takes, what follows from it, and shading."""
-    case.plan(samples=budget)
+    case.plan(budget)
     start = time.perf_counter()
-    predicted = jax.block_until_ready(case.shader.predicted(case.light, shadows=case.shadows))
+    predicted = jax.block_until_ready(case.predicted())
     middle = time.perf_counter()
-    plan = case.plan(samples=budget, predicted=predicted)
+    plan = case.plan(budget, predicted)
     planning = time.perf_counter() - middle
-    _, shading = timed(lambda: case.shader.shade(plan, case.light, filtered=filtered))
+    _, shading = timed(lambda: case.adaptive(plan, filtered=filtered))
     return plan, middle - start, planning, shading
+
+
+def prepared(scene: jr.Scene, **dials) -> AdaptiveRelighter:
+    """A relighter of the scene by some dials."""
+    relighter = jr.prepare(scene, jr.Adaptive(**dials))
+    assert isinstance(relighter, AdaptiveRelighter)
+    return relighter
 
 
 def scene_of(mesh: str, brdf: Brdf, size: int, *, floor: bool = False) -> jr.Scene:

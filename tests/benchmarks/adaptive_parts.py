@@ -15,13 +15,13 @@ from jaxrelight.brdf.bandwidth import bandwidth_table, compressed
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_decode, srgb_encode
 from jaxrelight.images.tone import to_unit
-from jaxrelight.lighting.adaptive.shader import AdaptiveShader, Parts
-from jaxrelight.lighting.antialiasing import averaged
-from jaxrelight.lighting.prefiltered import look_at
-from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
+from jaxrelight.lighting.adaptive.relighter import AdaptiveLight, AdaptiveRelighter
+from jaxrelight.lighting.adaptive.view import AdaptiveView
+from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.shadows import group_lights, trace_visibility
 from jaxrelight.lights.sky import Sky
 from jaxrelight.numerics.random_numbers import even_numbers
-from tests.benchmarks.adaptive import BASELINE, SEED, Case, as_good, brdf_of, first_good, scene_of, timed
+from tests.benchmarks.adaptive import BASELINE, SEED, Case, as_good, brdf_of, first_good, prepared, scene_of, timed
 from tests.benchmarks.measuring import RESULTS, Report, percent
 
 # Pixels along a side of those in which frequencies are measured.
@@ -72,12 +72,12 @@ def probes(report: Report, case: Case):
     """Samples that predict (figure 12)."""
     rows = []
     for count in (8, 16, 64, 256, 1024):
-        jax.block_until_ready(case.shader.predicted(case.light, count))
+        jax.block_until_ready(case.predicted(samples=count))
         start = time.perf_counter()
-        predicted = jax.block_until_ready(case.shader.predicted(case.light, count))
+        predicted = jax.block_until_ready(case.predicted(samples=count))
         seconds = time.perf_counter() - start
-        plan = case.plan(samples=64, predicted=predicted)
-        quality = case.psnr(case.shader.shade(plan, case.light))
+        plan = case.plan(64, predicted)
+        quality = case.psnr(case.adaptive(plan))
         rows.append([str(count), f"{seconds:.2f} s", percent(plan.shaded / case.covered.sum()), f"{quality:.2f} dB"])
     report.text(
         f"{case.name}, 64 samples a pixel: by the number n_b of samples that predict, at a quarter of the pixels."
@@ -87,8 +87,8 @@ def probes(report: Report, case: Case):
 
 def correlations(report: Report, case: Case):
     """Prediction against measurement (figure 14)."""
-    predicted = case.shader.predicted(case.light)[0][0]
-    pixel = np.asarray(case.shader.probes[0].pixels.pixel)
+    predicted = case.predicted()[0][0]
+    pixel = np.asarray(case.view.probes[0].pixels.pixel)
     real = np.flatnonzero(pixel < case.covered.size)
     real = real[interior(case.covered).ravel()[pixel[real]]]
     ok, measured = windowed_frequencies(case.truth.mean(axis=2), case.covered, pixel[real])
@@ -117,21 +117,15 @@ def correlations(report: Report, case: Case):
 
 def antialiasing(report: Report, mesh: str, material: str, size: int):
     """Whole frames with one, four and sixteen samples of surfaces in a pixel (figure 15)."""
-    scene = scene_of(mesh, brdf_of(material), size)
-    assert scene.environment is not None
-    light, rows = light_pyramid(scene.environment), []
-    parts: Parts | None = None
+    scene, rows = scene_of(mesh, brdf_of(material), size), []
+    lit = prepared(scene).light(scene.lights)
     for factor in (1, 2, 4):
-        camera = dataclasses.replace(scene.camera, width=factor * size, height=factor * size)
-        fine = dataclasses.replace(scene, camera=camera)
-        _frame(fine, light, parts, factor)
+        _frame(scene, lit, factor)
         start = time.perf_counter()
-        image, shader, plan = _frame(fine, light, parts, factor)
-        jax.block_until_ready(image)
+        image, covered = jax.block_until_ready(_frame(scene, lit, factor))
         seconds = time.perf_counter() - start
-        parts = shader.parts
-        pixels = shader.seen.covered.sum() / factor**2
-        figures = f"{plan.samples / pixels:.0f}", percent(plan.shaded / shader.seen.covered.sum())
+        plan = image.measured["plan"]
+        figures = f"{plan.samples / (covered / factor**2):.0f}", percent(plan.shaded / covered)
         rows.append([str(factor**2), f"{seconds:.2f} s", *figures, seconds])
     report.text(
         f"{mesh}, {material}, tolerance {FRAME_TOLERANCE}: whole frames, with tracing, by samples of surfaces in a "
@@ -141,10 +135,11 @@ def antialiasing(report: Report, mesh: str, material: str, size: int):
     report.table(["samples of surfaces", "frame", "samples of light", "shaded", "of one"], table)
 
 
-def _frame(scene: jr.Scene, light: LightPyramid, parts: Parts | None, factor: int):
-    shader = AdaptiveShader(look_at(scene), scene.camera, parts, factor=factor)
-    plan = shader.plan(light, tolerance=FRAME_TOLERANCE)
-    return averaged(shader.shade(plan, light), factor), shader, plan
+def _frame(scene: jr.Scene, lit: AdaptiveLight, factor: int) -> tuple[jr.Image, int]:
+    """A picture, and how many samples show a surface."""
+    relighter = prepared(scene, tolerance=FRAME_TOLERANCE, antialiasing=factor**2, shadows=False)
+    view = relighter.view()
+    return relighter.shade(lit, view), view.covered_count()
 
 
 def components(report: Report, resolution: int):
@@ -164,15 +159,15 @@ def components(report: Report, resolution: int):
 def lambert_alone(report: Report, mesh: str, size: int):
     """Nothing varies: hardly a pixel is shaded."""
     scene = scene_of(mesh, jr.lambert(0.6), size)
-    light = light_pyramid(jr.environment(np.ones((16, 32, 3), np.float32)))
-    seen = look_at(scene)
-    shader = AdaptiveShader(seen, scene.camera)
-    plan = shader.plan(light, tolerance=0.01)
-    image, facing = np.asarray(shader.shade(plan, light)), seen.covered.copy()
-    facing[seen.covered] = np.sum(seen.gbuffer.normals * seen.gbuffer.omega_o, axis=1) > 0
-    worst = float(np.abs(image[facing] / 0.6 - 1).max())
-    report.text(f"{mesh}, Lambert under a constant sky: largest relative error {worst:.1e}, "
-                f"{percent(plan.shaded / seen.covered.sum())} of the pixels shaded.")  # fmt: skip
+    relighter = prepared(scene, tolerance=0.01, shadows=False)
+    view = relighter.view()
+    image = relighter.shade(relighter.light(jr.environment(np.ones((16, 32, 3), np.float32))), view)
+    facing = view.part_image()[:size, :size] >= 0
+    worst = float(np.abs(np.asarray(image.radiance)[facing] / 0.6 - 1).max())
+    shaded = percent(image.measured["plan"].shaded / view.covered_count())
+    report.text(
+        f"{mesh}, Lambert under a constant sky: largest relative error {worst:.1e}, {shaded} of the pixels shaded."
+    )
 
 
 def extremes(report: Report, size: int, *, write: bool):
@@ -192,13 +187,12 @@ def extremes(report: Report, size: int, *, write: bool):
     rows, pictures = [], []
     for name, (sky, brdf, parts) in cases.items():
         camera = jr.Camera((0.1, 0.3, 2.2), (0, 0.1, 0), (0, 1, 0), 40, size, size)
-        shader = AdaptiveShader(look_at(jr.Scene(parts, {"skin": brdf}, camera, name=name)), camera)
-        light = light_pyramid(jr.environment(sky.astype(np.float32)))
-        plan = shader.plan(light, tolerance=0.01, shadows=True)
-        found = np.asarray(shader.shade(plan, light))
-        exact = _exact(shader, sky)
-        one, other = (srgb_encode(to_unit(image)) for image in (found, exact))
-        error, covered = np.abs(one - other).max(axis=2), shader.seen.covered
+        relighter = prepared(jr.Scene(parts, {"skin": brdf}, camera, name=name), tolerance=0.01)
+        view = relighter.view()
+        image = relighter.shade(relighter.light(jr.environment(sky.astype(np.float32))), view)
+        plan, exact = image.measured["plan"], _exact(relighter, view, sky)
+        one, other = (srgb_encode(to_unit(np.asarray(radiance))) for radiance in (image.radiance, exact))
+        error, covered = np.abs(one - other).max(axis=2), np.asarray(view.surfaces.covered)
         rms = float(np.sqrt(np.mean((one - other)[covered] ** 2)))
         lost = int(np.count_nonzero(error > 0.25))
         pixels = covered.sum()
@@ -217,13 +211,12 @@ def extremes(report: Report, size: int, *, write: bool):
         report.text(f"![Four extremes, and ten times their error]({path.name})")
 
 
-def _exact(shader: AdaptiveShader, sky: np.ndarray) -> np.ndarray:
+def _exact(relighter: AdaptiveRelighter, view: AdaptiveView, sky: np.ndarray) -> np.ndarray:
     """Many samples everywhere; a sun is taken off by hand, and its texel cut into 64."""
     (row, column), (rows, columns) = np.unravel_index(sky[..., 0].argmax(), sky.shape[:2]), sky.shape[:2]
     largest, rest = sky.max(), np.where(sky > 1e3, 0.1, sky)
-    even = shader.uniform(
-        light_pyramid(jr.environment(rest.astype(np.float32))), 1024, SEED, filtered=True, shadows=True
-    )
+    relighter = dataclasses.replace(relighter, method=dataclasses.replace(relighter.method, seed=SEED))
+    even = relighter.shade_uniform(relighter.light(jr.environment(rest.astype(np.float32))), view, 1024, filtered=True)
     if largest <= 1e3:
         return np.asarray(even)
     v, u = (
@@ -232,7 +225,9 @@ def _exact(shader: AdaptiveShader, sky: np.ndarray) -> np.ndarray:
     )
     irradiance = np.full((64, 3), (largest - 0.1) * latlong.solid_angles(rows, columns)[row] / 64)
     sun = Sky(jax.numpy.asarray(latlong.directions(u, v), np.float32), jax.numpy.asarray(irradiance, np.float32))
-    return np.asarray(even) + np.asarray(shader.seen.lit_by([sun]))
+    groups, points = group_lights([sun]), view.surfaces.points
+    by_sun = shade_lights(relighter.materials, view.surfaces, groups, trace_visibility(points, groups))
+    return np.asarray(even) + np.asarray(by_sun)
 
 
 def turned(x: float) -> np.ndarray:
@@ -242,7 +237,7 @@ def turned(x: float) -> np.ndarray:
 
 def measured_variance(case: Case, samples: int = 1024) -> np.ndarray:
     """Of what single samples say, at the pixels that are predicted."""
-    part, probe = case.shader.parts[0][0], case.shader.probes[0]
+    part, probe = case.relighter().sampled_materials[0].components[0].sampler, case.view.probes[0]
     numbers = even_numbers(jax.numpy.arange(samples), jax.numpy.asarray(samples), jax.numpy.zeros(2, np.uint32))
 
     @jax.jit
@@ -260,7 +255,7 @@ def measured_variance(case: Case, samples: int = 1024) -> np.ndarray:
         rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint
         return jax.lax.map(pixel, rows, batch_size=256)
 
-    return np.asarray(of(part, case.light, probe.pixels))
+    return np.asarray(of(part, case.lit.pyramid, probe.pixels))
 
 
 def interior(covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

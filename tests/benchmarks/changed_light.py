@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.operators.clustered import Bucket, Clustered
 from jaxrelight.operators.quantised import decoded
 from tests.benchmarks.measuring import Report, interleaved, shared
@@ -28,12 +28,12 @@ AT = 45, 100
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.changed_light", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="resolution 16 and few runs; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="resolution 8 and few runs; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
     arguments = parser.parse_args()
     shared("reference")
     quick = arguments.quick
-    resolution, runs = (16, 3) if quick else (64, 31)
+    resolution, runs = (8, 3) if quick else (64, 31)
     parameters = (
         f"{SCENE} at vertices, resolution {resolution}; clusters of tolerance 0.02, rows of N = 128, float32; "
         f"{runs} interleaved runs, ratios are their medians"
@@ -51,14 +51,13 @@ def main():
         report.speed()
 
 
-def _relighter(folder: pathlib.Path, coefficients, resolution: int):
-    from jaxrelight import load_scene
-    from jaxrelight.methods import Transport
-    from jaxrelight.precomputation.precompute import precompute
+def _relighter(folder: pathlib.Path, coefficients, resolution: int) -> TransportRelighter:
+    from jaxrelight import Transport, load_scene, prepare
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    settings = Transport("vertices", resolution=resolution, coefficients=coefficients)
-    return open_store(precompute(scene, settings, folder).folder)
+    relighter = prepare(scene, Transport("vertices", resolution=resolution, coefficients=coefficients), folder)
+    assert isinstance(relighter, TransportRelighter)
+    return relighter
 
 
 # Changes of light
@@ -232,7 +231,7 @@ def _lights(relighter) -> tuple[Float[np.ndarray, "d 3"], dict[str, Float[np.nda
 
     file, scale = LIGHTS["sunset"]
     whole = load_environment(shared("data", "env", file)).pixels
-    pixels = np.asarray(coarsened(whole, relighter.transport.method.resolution))
+    pixels = np.asarray(coarsened(whole, relighter.method.resolution))
     height, width = pixels.shape[:2]
 
     def with_region(degrees: float, factor: float, radiance: float):
@@ -266,7 +265,7 @@ def many(report: Report, relighters, counts: Sequence[int], runs: int):
     apply = jax.jit(lambda operator, light: operator.apply(light))
     table = []
     for way, relighter in relighters.items():
-        operator = relighter.transport.operator.operators[relighter.transport.names.index("object")]
+        (operator,) = (block.operator for block in relighter.transport.blocks if block.material == "object")
         for n in counts:
             lights = jnp.asarray(np.random.default_rng(0).normal(size=(n, operator.shape[1], 3)), jnp.float32)
             sides = {
@@ -295,7 +294,7 @@ def sixteen_bits(report: Report, relighters, runs: int):
     from jaxrelight.basis.haar import levels
     from tests.benchmarks.quantised_rows import light_vector
 
-    resolution = relighters["rows"].transport.method.resolution
+    resolution = relighters["rows"].method.resolution
     lights = {name: light_vector(*light, resolution) for name, light in LIGHTS.items()}
     levels_of = {"a scale per level": levels(resolution), "one scale": np.zeros(6 * resolution**2, int)}
     apply = jax.jit(lambda operators, light: [operator.apply(light) for operator in operators])

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from jaxrelight.operators.clustered import Cluster
 from tests.benchmarks.measuring import Report, Timing, interleaved, megabytes, shared
-from tests.benchmarks.mesh_size import SCENE
+from tests.benchmarks.mesh_size import FLOOR, SCENE
 from tests.benchmarks.quantised_rows import COLUMNS, RESOLUTION, light_vector
 
 SEED, KEPT, LIGHTS = 0, 128, 64
@@ -56,7 +56,7 @@ def main():
         report = stack.enter_context(Report("clusters", "Clusters", parameters, not quick))
         lights = {name: light_vector(file, 1) for name, file in ENVIRONMENTS.items()}
         spectrum(report, lights)
-        scenes = {terms: _scene(path, terms) for terms in groups}
+        scenes = {terms: _scene(path, terms, 16 if quick else FLOOR) for terms in groups}
         samples = {terms: sample(scenes[terms], terms, count, lights, quick) for terms, count in groups.items()}
         weighting(report, samples)
         equal = {terms: errors(report, one, terms) for terms, one in samples.items()}
@@ -67,11 +67,12 @@ def main():
         report.speed()
 
 
-def _scene(mesh: pathlib.Path, terms: int):
+def _scene(mesh: pathlib.Path, terms: int, floor: int = FLOOR):
     from jaxrelight import load_scene
 
     sky = shared("data", "env", "pmndrs_venice.exr")
-    text = SCENE.format(mesh=json.dumps(str(mesh.resolve())), environment=json.dumps(str(sky.resolve())))
+    files = {"mesh": json.dumps(str(mesh.resolve())), "environment": json.dumps(str(sky.resolve()))}
+    text = SCENE.format(floor=floor, **files)
     if terms == 1:
         start, end = text.index('type = "phong"'), text.index("[material.floor]")
         text = text[:start] + LAMBERT + text[end:]
@@ -223,10 +224,10 @@ def sample(scene, terms: int, count: int, lights, quick: bool) -> Sample:
     _, _, _, baked = _whole_rows(scene, terms, lambda every: np.sort(rng.choice(every, count, replace=False)))
     exact, kept = ({key: [] for key in lights} for _ in range(2))
     in_sun: dict[str, list[np.ndarray]] = {key: [] for key in sunny()}
-    tolerances = TOLERANCES[:3] if quick else TOLERANCES
+    tolerances = TOLERANCES[:2] if quick else TOLERANCES
     clusters: dict[float, list[Cluster]] = {tolerance: [] for tolerance in tolerances}
     # Unweighted ones, for about as many bytes.
-    clusters |= {-tolerance: [] for tolerance in (0.5, 0.35, 0.25, 0.15, 0.1)}
+    clusters |= {-tolerance: [] for tolerance in ((0.5, 0.15) if quick else (0.5, 0.35, 0.25, 0.15, 0.1))}
     indices, values = [], []
     for rows in baked:
         energy = np.einsum("rcd,rcd->rd", rows, rows)
@@ -394,15 +395,14 @@ def speed(report: Report, scene, terms: int, tolerance: float, one: Sample, fold
     import jax
     import jax.numpy as jnp
 
-    from jaxrelight.methods import Transport
+    from jaxrelight import Transport, prepare
+    from jaxrelight.lighting.transport import TransportRelighter
     from jaxrelight.operators.clustered import Clustered, quantised_clusters
-    from jaxrelight.precomputation.load import load
-    from jaxrelight.precomputation.precompute import precompute
 
-    settings = Transport("vertices", terms=terms, resolution=RESOLUTION, compression_tolerance=tolerance)
-    made = precompute(scene, settings, folder)
-    transport = load(made.folder, made.header, made.geometry)
-    _, operator = [one for one in transport.each if one[0].material == "object"][-1]
+    method = Transport("vertices", terms=terms, resolution=RESOLUTION, compression_tolerance=tolerance)
+    relighter = prepare(scene, method, folder)
+    assert isinstance(relighter, TransportRelighter)
+    operator = [block.operator for block in relighter.transport.blocks if block.material == "object"][-1]
     assert isinstance(operator, Clustered)
     coded = quantised_clusters(operator, 8)
     rng = np.random.default_rng(SEED)

@@ -6,11 +6,12 @@ import dataclasses
 import pathlib
 import tempfile
 import time
+from typing import Any
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import prepare_with_build
 from jaxrelight.lighting.transport import TransportRelighter
-from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
 from tests.benchmarks.measuring import Report, answer, megabytes, percent, run_child, shared
 from tests.benchmarks.pictures import contact_sheet
@@ -23,6 +24,9 @@ REFERENCES = (
     ("vertices", 128, 0.05),
     ("vertices", "shared", 0.05),
 )
+# Of the study, and of trials: a mesh, quads along each side of the floor, and pixels along a side.
+STUDY = "dragon_vrip_res4.ply", 40, 192
+TRIAL = "spot.obj", 12, 64
 GATHER = 8, 16, 24, 32, 64
 FINEST = 96
 COEFFICIENTS = 16, 64, 256
@@ -31,7 +35,7 @@ TOLERANCES = 0.2, 0.1, 0.05, 0.02, 0.01, 0.005
 
 def main():
     parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="resolution 8; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="resolution 8, a small mesh; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
     parser.add_argument("--only", choices=("box", "references", "cost", "study"), help="one of the tables")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
@@ -64,10 +68,9 @@ def box(report: Report, folder: pathlib.Path, resolution: int):
     camera = jr.Camera((0, 0, 0.4), (0.2, 0.1, -1), fov_y=80.0, width=64, height=64)
     scene = jr.Scene([jr.Part(inside, "wall")], {"wall": wall}, camera)
     dark, rows = jr.environment(np.zeros((4, 8, 3), np.float32)), []
-    for bounces in (1, 2, 3, 4, 6, 8, 12):
-        settings = jr.Transport("vertices", resolution=4, bounces=bounces, compression_tolerance=0.0)
-        relighter = jr.open_store(precompute(scene, settings, folder / "box").folder)
-        image = relighter.image(dark, relighter.view())[..., :3]
+    for bounces in (1, 2) if resolution < 64 else (1, 2, 3, 4, 6, 8, 12):
+        method = jr.Transport("vertices", resolution=4, bounces=bounces, compression_tolerance=0.0)
+        image = jr.prepare(scene, method, folder / "box").picture(dark)[..., :3]
         series = (1 - 0.5 ** (bounces + 1)) / 0.5
         off = np.abs(image / series - 1)
         rows.append([bounces, f"{series:.4f}", percent(off.mean()), percent(off.max()), percent(1 - image.mean() / 2)])
@@ -80,15 +83,20 @@ def references(report: Report, folder: pathlib.Path, resolution: int):
     """`bunny_lambert` with one and two bounces against the reference renderer."""
     import jaxrelight as jr
 
-    scene, rows = jr.load_scene(shared("reference", "bunny_lambert.toml")), []
+    scene, step, rows = jr.load_scene(shared("reference", "bunny_lambert.toml")), 1, []
+    dials: dict[str, Any] = {"resolution": resolution}
+    if resolution < 64:
+        scene, step = _smaller("bunny_lambert", *TRIAL), 4
+        dials["gather_resolution"] = 4
     for receivers, coefficients, target in REFERENCES:
-        for bounces in (0, 1, 2):
-            settings = jr.Transport(receivers, resolution, coefficients=coefficients, bounces=bounces)
-            image, made, _ = _lit(scene, settings, folder / "bunny")
-            error = jr.image_error(image, jr.read_image(shared("reference", f"bunny_lambert_b{bounces}.exr")))
+        for bounces in (0, 1) if resolution < 64 else (0, 1, 2):
+            method = jr.Transport(receivers, coefficients=coefficients, bounces=bounces, **dials)
+            image, made, _ = _lit(scene, method, folder / "bunny")
+            reference = jr.read_image(shared("reference", f"bunny_lambert_b{bounces}.exr"))
+            error = jr.image_error(image, reference[::step, ::step])
             kept = coefficients if isinstance(coefficients, str) else f"N = {coefficients}"
             passes = sum(seconds for stage, seconds in made.seconds.items() if stage.startswith("bounce"))
-            row = [f"{receivers}, {kept}", made.header["settings"]["bounces"]]
+            row = [f"{receivers}, {kept}", made.header["method"]["dials"]["bounces"]]
             numbers = [percent(error.trimmed), percent(error.untrimmed), f"{error.mean_ratio:.4f}", percent(target)]
             rows.append([*row, *numbers, f"{passes:.0f}", megabytes(_held(made))])
     report.text("**`bunny_lambert` against the reference images** with as many bounces.")
@@ -124,7 +132,10 @@ def _pass_of_the_bunny(folder: pathlib.Path, resolution: int):
     import jaxrelight as jr
 
     scene = jr.load_scene(shared("reference", "bunny_phong.toml"))
-    made = precompute(scene, jr.Transport("vertices", resolution=resolution, bounces=1), folder)
+    dials: dict[str, Any] = {}
+    if resolution < 64:
+        scene, dials = _smaller("bunny_phong", *TRIAL), {"gather_resolution": 4}
+    made = precompute(scene, jr.Transport("vertices", resolution=resolution, bounces=1, **dials), folder)
     answer({"seconds": made.seconds, "receivers": made.receivers, "bytes": _held(made)})
 
 
@@ -138,21 +149,23 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
     import jaxrelight as jr
     from jaxrelight.operators.algebra import parts_of
     from jaxrelight.operators.clustered import Clustered
-    from jaxrelight.operators.stacked import Stacked
 
-    resolution = min(resolution, 16)
-    scene = _scene_of_the_study("dragon_vrip_res4.ply")
+    quick, resolution = resolution < 64, min(resolution, 16)
+    few, most, side, finest_side, least = (1, 1, 4, 12, 0.1) if quick else (None, 3, 32, FINEST, 0.002)
+    scene = _smaller("bunny_phong", *(TRIAL if quick else STUDY))
     store = folder / "study"
 
     def bounced(bounces: int = 1, **dials) -> tuple[np.ndarray, float, str]:
         """Bounced light alone, what the last bounce took, and how many coefficients and shared rows a group has."""
-        settings = jr.Transport("vertices", resolution, bounces=bounces, **dials)
-        image, made, relighter = _lit(scene, settings, store)
+        # Light that bounces is applied alone, that of a sun as all else.
+        dials = {"gather_resolution": side, **dials}
+        method = jr.Transport("vertices", resolution, bounces=bounces, split_sun=not bounces, **dials)
+        image, made, relighter = _lit(scene, method, store)
         if bounces:
             transport = relighter.transport
-            alone = Stacked(tuple(parts_of(operator)[1] for operator in transport.operator.operators))
-            other = TransportRelighter(dataclasses.replace(transport, operator=alone))
-            image = other.image(scene.environment, other.view(), other.light(scene.environment, False), False)
+            alone = (dataclasses.replace(block, operator=parts_of(block.operator)[1]) for block in transport.blocks)
+            other = TransportRelighter(dataclasses.replace(transport, blocks=tuple(alone)))
+            image = other.picture(scene.lights, background=False)
         sizes = [0, 0]
         for operator in relighter.transport.operator.operators if bounces else ():
             bounced_rows = parts_of(operator)[1]
@@ -164,8 +177,8 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
         shown = ", ".join(f"{size / groups:.0f}" for size in sizes)
         return image, made.seconds.get(f"bounce {bounces}", 0.0), shown
 
-    none, *_ = bounced(0, tolerance=0.002)
-    finest, *_ = bounced(1, gather_resolution=FINEST, tolerance=0.002)
+    none, *_ = bounced(0, compression_tolerance=least)
+    finest, *_ = bounced(1, gather_resolution=finest_side, compression_tolerance=least)
     light = float(np.linalg.norm(finest[..., :3]))
     pictures = {}
 
@@ -175,38 +188,38 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
         return [percent(off / light), percent(energy), f"{seconds:.0f}"]
 
     rows = []
-    for side in GATHER:
+    for look in GATHER[:few]:
         for gather in ("barycentric", "nearest"):
             start = time.perf_counter()
-            image, *_ = bounced(1, gather_resolution=side, tolerance=0.002, gather=gather)
-            rows.append([f"6×{side}²", gather, *row(image, time.perf_counter() - start)])
+            image, *_ = bounced(1, gather_resolution=look, compression_tolerance=least, gather=gather)
+            rows.append([f"6×{look}²", gather, *row(image, time.perf_counter() - start)])
             if gather == "nearest":
-                pictures[f"bounced light, 6×{side}², nearest"] = image[..., :3] * 3
+                pictures[f"bounced light, 6×{look}², nearest"] = image[..., :3] * 3
     report.text(
         f"**What receivers look around with** (Figure 11). {scene.name}, of the bunny's Phong 50, on its floor; "
         f"resolution {resolution}, vertices, one bounce. Error of a picture of bounced light alone, "
-        f"relative to that of 6×{FINEST}² at tolerance 0.002, and its energy. Seconds include lighting."
+        f"relative to that of 6×{finest_side}² at tolerance {least}, and its energy. Seconds include lighting."
     )
     heads = ["look-around", "read at", "error of bounced light", "energy", "seconds"]
     report.table(heads, rows)
 
     rows = []
-    for tolerance in TOLERANCES:
-        image, seconds, sizes = bounced(1, tolerance=tolerance)
+    for tolerance in TOLERANCES[:few]:
+        image, seconds, sizes = bounced(1, compression_tolerance=tolerance)
         rows.append([f"clusters, tolerance {tolerance}", sizes, *row(image, seconds)])
-    for count in COEFFICIENTS:
+    for count in COEFFICIENTS[:few]:
         image, seconds, sizes = bounced(1, coefficients=count)
         rows.append([f"direct light in rows, N = {count}", sizes, *row(image, seconds)])
     report.text(
-        "**What is kept of each pass**, at 6×32²: error of bounced light alone, through that of the direct light that "
-        "it is gathered from. Bounced light of rows is in clusters of tolerance 0.02."
+        f"**What is kept of each pass**, at 6×{side}²: error of bounced light alone, through that of the direct light "
+        "that it is gathered from. Bounced light of rows is in clusters of tolerance 0.02."
     )
     report.table(["kept", "coefficients, shared rows a group", "error", "energy", "seconds"], rows)
 
     rows, last, first = [], np.zeros_like(none), None
     pictures["direct light"] = none[..., :3]
-    for bounces in (1, 2, 3):
-        image, seconds, sizes = bounced(bounces, tolerance=0.002)
+    for bounces in range(1, most + 1):
+        image, seconds, sizes = bounced(bounces, compression_tolerance=least)
         added = (image - last)[..., :3].sum() / none[..., :3].sum()
         first = first or added
         rows.append([bounces, percent(added), f"{added / first:.3f}", sizes, f"{seconds:.0f}"])
@@ -214,30 +227,30 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
         last = image
     report.text(f"**Bounces** (Figure 6): what each adds to the energy of direct light. Pictures: `{PICTURE.name}`.")
     report.table(["bounce", "added", "of the first", "coefficients, shared rows a group", "seconds"], rows)
-    if resolution >= 16:
+    if not quick:
         contact_sheet(PICTURE, pictures, 3, 0.0)
 
 
-def _scene_of_the_study(mesh: str):
-    """The bunny's scene with another mesh, and a floor of fewer faces."""
+def _smaller(name: str, mesh: str, floor: int, size: int):
+    """A scene of the bunny with another mesh, a floor of fewer faces, and fewer pixels."""
     import jaxrelight as jr
 
-    text = shared("reference", "bunny_phong.toml").read_text()
-    text = text.replace("bunny_mitsuba.ply", mesh).replace("resolution = 176", "resolution = 40")
+    text = shared("reference", f"{name}.toml").read_text()
+    text = text.replace("bunny_mitsuba.ply", mesh).replace("resolution = 176", f"resolution = {floor}")
     text = text.replace("../data", str(shared("data").resolve()))
     with tempfile.TemporaryDirectory() as folder:
         path = pathlib.Path(folder, f"{pathlib.Path(mesh).stem}.toml")
         path.write_text(text)
         scene = jr.load_scene(path)
-    return dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=192, height=192))
+    return dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size, height=size))
 
 
-def _lit(scene, settings, folder: pathlib.Path):
+def _lit(scene, method, folder: pathlib.Path):
     """The picture that the scene's own light makes, without background."""
-
-    made = precompute(scene, settings, folder)
-    relighter = TransportRelighter(load(made.folder, made.header, made.geometry))
-    return relighter.image(scene.environment, relighter.view(), background=False), made, relighter
+    relighter, made = prepare_with_build(scene, method, folder)
+    assert isinstance(relighter, TransportRelighter)
+    assert made is not None
+    return relighter.picture(background=False), made, relighter
 
 
 if __name__ == "__main__":

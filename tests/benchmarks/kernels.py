@@ -235,11 +235,11 @@ def _product_inputs(real: bool, store: pathlib.Path | None):
 
 def _stored_rows(store: pathlib.Path | None):
     """Indices and values of the first rows of the store's operator of three channels."""
+    from jaxrelight import open_store
     from jaxrelight.operators.sparse_rows import SparseRows
-    from jaxrelight.precomputation.load import load
 
     assert store is not None
-    for operator in load(store).operator.operators:
+    for operator in open_store(store).transport.operator.operators:
         if isinstance(operator, SparseRows) and operator.shape[2] == 3 and operator.indices.shape[-1] == KEPT:
             indices = np.asarray(operator.indices).reshape(-1, KEPT)[: operator.row_count]
             values = np.stack([np.asarray(v).reshape(-1, KEPT) for v in operator.values], 1)[: operator.row_count]

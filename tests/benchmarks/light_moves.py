@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxrelight.precomputation.load import load
-from jaxrelight.precomputation.precompute import precompute
 from tests.benchmarks.large_scenes import CASES, scene_text
 from tests.benchmarks.measuring import Report, answer, interleaved, megabytes, percent, run_child, shared
 
@@ -39,6 +37,7 @@ PAPER_LIGHT = {
 CULLING = 3e-4, 1e-3, 3e-3, 1e-2
 # The longest edge that makes about two million triangles of a scene.
 FINE = "sponza", 14.0
+COARSER = "sponza", 400.0
 ROUNDS = 9
 # Of shared rows; and by how much pictures of rows may differ from theirs to be as good.
 TOLERANCE = 0.03
@@ -48,7 +47,7 @@ ROWS = (100, 40), (400, 160), (1600, 640)
 
 def main():
     parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a quarter of the pixels and points")
+    parser.add_argument("--quick", action="store_true", help="few pixels and points of one scene; RESULTS.md is left")
     parser.add_argument("--only", choices=CASES, help="one of the scenes")
     parser.add_argument("--pictures", type=pathlib.Path, help="write the pictures here")
     parser.add_argument("--folder", type=pathlib.Path, help="keep stores and figures here, and go on from them")
@@ -58,12 +57,12 @@ def main():
         child(**arguments.child)
         return
     shared("data", "mesh")
-    width, samples = (320, 16384) if arguments.quick else (640, 65536)
+    width, samples = (64, 1024) if arguments.quick else (640, 65536)
     parameters = (
         f"{width}×{width * 3 // 4} pixels of 2×2 samples, {samples:,} gather samples, three bounces, tolerance 0.03, 8 "
         "bits; a fresh process for each scene"
     )
-    chosen = [arguments.only] if arguments.only else list(CASES)
+    chosen = [arguments.only] if arguments.only else list(CASES)[: 1 if arguments.quick else None]
     write = not (arguments.quick or arguments.only)
     with contextlib.ExitStack() as stack:
         folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -74,7 +73,7 @@ def main():
         row_form(report, told)
         for name, one in told.items():
             culling(report, name, one)
-        finer(report, folder)
+        finer(report, folder, *((64, 1024, COARSER) if arguments.quick else (320, 16384, FINE)))
         report.speed()
 
 
@@ -180,10 +179,10 @@ def culling(report: Report, name: str, told: dict):
         report.table(["ε", "transform", "faster", "blocks kept", "added error"], rows)
 
 
-def finer(report: Report, folder: pathlib.Path):
+def finer(report: Report, folder: pathlib.Path, width: int, samples: int, fine: tuple[str, float]):
     """The same view and budgets, of many more triangles."""
-    name, edge = FINE
-    every = [measured(folder, name, 320, 16384, only_precompute=True, max_edge=longest) for longest in (None, edge)]
+    name, edge = fine
+    every = [measured(folder, name, width, samples, only_precompute=True, max_edge=longest) for longest in (None, edge)]
     rows = [
         [
             f"{one['triangles']:,}",
@@ -195,8 +194,8 @@ def finer(report: Report, folder: pathlib.Path):
         for one in every
     ]
     report.text(
-        f"**Finer meshes**: faces of {name} split until no edge is longer than {edge:g}, 320×240 pixels, 16,384 gather "
-        "samples (target ≤ 1.5×)."
+        f"**Finer meshes**: faces of {name} split until no edge is longer than {edge:g}, {width}×{width * 3 // 4} "
+        f"pixels, {samples:,} gather samples (target ≤ 1.5×)."
     )
     report.table(["triangles", "precompute", "ratio", "rays", "peak memory"], rows)
 
@@ -215,6 +214,7 @@ def child(
 
     _share_freed_memory()
     import jaxrelight as jr
+    from jaxrelight.precomputation.precompute import precompute
 
     mesh, materials, origin, target, fov_y, _ = CASES[name]
     text = scene_text(mesh, materials, origin, target, fov_y, max_edge or 1e30)
@@ -226,8 +226,8 @@ def child(
         return
     scene = jr.load_scene(path)
     start = time.perf_counter()
-    settings = jr.Indirect(gather_samples=samples, bounces=3, bits=8, compression_tolerance=TOLERANCE)
-    made = precompute(scene, settings, path.with_suffix(""))
+    method = jr.Indirect(gather_samples=samples, bounces=3, bits=8, compression_tolerance=TOLERANCE)
+    made = precompute(scene, method, path.with_suffix(""))
     told = {
         "triangles": sum(len(part.mesh.faces) for part in scene.parts),
         "precompute": time.perf_counter() - start,
@@ -247,11 +247,11 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
     import jaxrelight as jr
     from jaxrelight.gather.cloud_spectrum import cloud_spectrum
     from jaxrelight.lighting.antialiasing import joined
+    from jaxrelight.lighting.direct_light import shade_lights
     from jaxrelight.lighting.indirect import IndirectRelighter
-    from jaxrelight.lighting.light_layers import LightLayers
+    from jaxrelight.lighting.shadows import all_visible, group_lights, trace_visibility
     from jaxrelight.lights.local import point, spot
     from jaxrelight.operators.clustered import Clustered
-    from jaxrelight.operators.stacked import Stacked
 
     place, above, target, intensity = LAMPS[name]
     scale = np.linalg.norm(np.subtract(target, above))
@@ -260,21 +260,21 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
         "spot": lambda by: spot(np.add(above, by), target, [2 * intensity, 2 * intensity, 1.6 * intensity], 25.0, 18.0),
     }
     start = time.perf_counter()
-    transport = load(folder)
-    relighter = IndirectRelighter(transport)
-    first = relighter.image([kinds["point"](np.zeros(3))])
+    relighter = jr.open_store(folder)
+    assert isinstance(relighter, IndirectRelighter)
+    view = relighter.view()
+    first = relighter.shade(relighter.light(kinds["point"](np.zeros(3))), view).rgba()
     opened = time.perf_counter() - start
-    cloud = transport.cloud
-    assert cloud is not None
-    every = [cloud.between, *(operator for _, operator in transport.each)]
+    precomputed = relighter.precomputed
+    every = [precomputed.cloud.between, *precomputed.transport.operator.operators]
     clusters = [one.clusters() for one in every if isinstance(one, Clustered)]
     both = list(zip(clusters, every, strict=True))
-    spectrum = cloud_spectrum(cloud.points, transport.surfaces, transport.tracer, transport.method.seed)
+    geometry = precomputed.stored.geometry
+    spectrum = cloud_spectrum(precomputed.points, geometry.surfaces, geometry.tracer, relighter.method.seed)
     by_rows = {}
-    for counts in ROWS:
+    for counts in (counts for counts in ROWS if counts[0] <= len(spectrum)):
         rows = [as_rows(some, spectrum, counts[0 if i else 1]) for i, some in enumerate(clusters)]
-        others = {"operator": Stacked(tuple(rows[1:])), "cloud": dataclasses.replace(cloud, between=rows[0])}
-        by_rows[counts[0]] = IndirectRelighter(dataclasses.replace(transport, **others))
+        by_rows[counts[0]] = IndirectRelighter(with_operators(precomputed, *rows))
     blocks = [as_blocks(some, one.columns) for some, one in both]
     filled = [one for some in clusters[1:] for one in some if len(one.support)]
     told = {
@@ -282,7 +282,7 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
         "memory": {
             "clusters": sum(one.nbytes for one in every),
             "rows": {
-                count: sum(one.nbytes for one in [some.cloud.between, *some.transport.operator.operators])
+                count: some.precomputed.cloud.between.nbytes + some.transport.operator.nbytes
                 for count, some in by_rows.items()
             },
             "blocks": sum(one.nbytes for one in blocks),
@@ -291,38 +291,42 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
         "shared": float(np.mean([len(one.basis) for one in filled])),
         "lights": {},
     }
+
+    def lit(lamp, shadows: bool = True):
+        """Light of the cloud that a lamp gives it, and samples of direct light."""
+        groups, points = group_lights([lamp]), view.samples.points
+        visibility = trace_visibility(points, groups) if shadows else all_visible(points, groups)
+        direct = shade_lights(relighter.materials, view.samples, groups, visibility)
+        return relighter.direct_light_at_cloud(groups, shadows=shadows), direct
+
+    def transform(some: IndirectRelighter, g):
+        """All bounces, as pixels see them."""
+        return some.final_gather(some.add_bounces(g), view)
+
     steps = iter(0.02 * scale * np.sin(np.arange(3, 10_000))[:, None] * [1.0, 0.3, 0.5])
     for kind, make in kinds.items():
         lamp = make(np.zeros(3))
-        g = relighter.cloud_light([lamp])
-        direct, indirect = relighter.seen.lit_by([lamp]), relighter.indirect([lamp])
+        g, direct = lit(lamp)
+        indirect = transform(relighter, g)
         calls = {
-            "move": lambda make=make: relighter.picture([make(next(steps))]),
-            "lit": lambda make=make: (
-                relighter.cloud_light([moved := make(next(steps))]),
-                relighter.seen.lit_by([moved]),
-            ),
-            "shading": lambda make=make: (
-                relighter.cloud_light([moved := make(next(steps))], shadows=False),
-                relighter.seen.lit_by([moved], shadows=False),
-            ),
-            "clusters": lambda g=g: relighter.gathered(relighter.spread(g)),
-            **{
-                f"rows {count}": lambda g=g, some=some: some.gathered(some.spread(g)) for count, some in by_rows.items()
-            },
-            "gather": lambda g=g: relighter.gathered(g),
-            "joining": lambda direct=direct, indirect=indirect: joined(direct, indirect, relighter._nearest),
+            "move": lambda make=make: relighter.shade(relighter.light(make(next(steps))), view).radiance,
+            "lit": lambda make=make: lit(make(next(steps))),
+            "shading": lambda make=make: lit(make(next(steps)), shadows=False),
+            "clusters": lambda g=g: transform(relighter, g),
+            **{f"rows {count}": lambda g=g, some=some: transform(some, g) for count, some in by_rows.items()},
+            "gather": lambda g=g: relighter.final_gather(g, view),
+            "joining": lambda direct=direct, indirect=indirect: joined(direct, indirect, view.nearest),
         }
         times = interleaved(calls, ROUNDS)
         one: dict[str, Any] = {what: time.median for what, time in times.items()}
         one["shadows"] = one["lit"] - one["shading"]
-        wanted, one["rows"] = np.asarray(relighter.gathered(relighter.spread(g))), {}
+        wanted, one["rows"] = np.asarray(indirect), {}
         for count, some in by_rows.items():
-            differ = np.linalg.norm(np.asarray(some.gathered(some.spread(g))) - wanted) / np.linalg.norm(wanted)
+            differ = np.linalg.norm(np.asarray(transform(some, g)) - wanted) / np.linalg.norm(wanted)
             time_of = times[f"rows {count}"]
             one["rows"][count] = time_of.median, time_of.over(times["clusters"]), float(differ)
         told["lights"][kind] = one | {"culling": culled(relighter, blocks, g)}
-    layers = LightLayers(relighter, [make(next(steps)) for make in kinds.values() for _ in range(2)])
+    layers = jr.LightLayers(relighter, [make(next(steps)) for make in kinds.values() for _ in range(2)])
     gains = iter(np.random.default_rng(0).random((10_000, 4, 3)))
     told["colours"] = interleaved({"": lambda: layers.picture(jnp.asarray(next(gains)))}, 3 * ROUNDS)[""].median
     if picture:
@@ -331,6 +335,15 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
         jr.write_image(picture, bright)
     jax.block_until_ready(layers.pictures)
     return told
+
+
+def with_operators(precomputed, between, *pixels):
+    """What a store holds, with other operators between surfaces and of pixels."""
+    transport = precomputed.transport
+    pairs = zip(transport.blocks, pixels, strict=True)
+    blocks = tuple(dataclasses.replace(block, operator=operator) for block, operator in pairs)
+    cloud = dataclasses.replace(precomputed.cloud, between=between)
+    return dataclasses.replace(precomputed, transport=dataclasses.replace(transport, blocks=blocks), cloud=cloud)
 
 
 def as_rows(clusters, spectrum: np.ndarray, count: int):
@@ -362,11 +375,13 @@ def culled(relighter, blocks, g) -> list[tuple[float, float, float]]:
     import jax
     import jax.numpy as jnp
 
+    cloud = relighter.precomputed.cloud
+
     def transform(culling: float):
         total, taken = g, 0
-        for _ in range(relighter.transport.method.bounces - 1):
+        for _ in range(relighter.method.bounces - 1):
             found, count = blocks[0].apply(relighter._encoded(total), culling)
-            total, taken = g + relighter.albedo * found[relighter._slot], taken + count
+            total, taken = g + cloud.albedo * found[cloud.slot_of], taken + count
         light = relighter._encoded(total)
         pixels = []
         for part in blocks[1:]:

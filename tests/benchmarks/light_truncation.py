@@ -7,7 +7,6 @@ import tempfile
 
 import numpy as np
 
-from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, percent, shared
 
 SCENE = "bunny_lambert"
@@ -17,12 +16,12 @@ SHARES = 1.0, 0.1, 0.01
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.light_truncation", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="resolution 16 and few steps; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="resolution 8 and few steps; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the store here and reuse it")
     parser.add_argument("--plots", type=pathlib.Path, help="write the radiance of one receiver over the turn here")
     arguments = parser.parse_args()
     shared("reference")
-    resolution, steps = (16, 12) if arguments.quick else (64, STEPS)
+    resolution, steps = (8, 12) if arguments.quick else (64, STEPS)
     parameters = (
         f"{SCENE}, {GROUPS} groups of 128 vertices drawn with seed {SEED}, resolution {resolution}, N = 128; {steps} "
         "steps of 1°; the light's coefficients of largest energy over the channels are kept, anew in every step"
@@ -39,15 +38,13 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, steps: int, p
     """Frames of every light with every share of its coefficients, with exact and with truncated rows."""
     import jax.numpy as jnp
 
-    from jaxrelight import load_environment, load_scene
+    from jaxrelight import Transport, load_environment, load_scene, prepare
+    from jaxrelight.lighting.transport import TransportRelighter
     from jaxrelight.lights.environment import coarsened
-    from jaxrelight.methods import Transport
-    from jaxrelight.precomputation.precompute import precompute
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    relighter = open_store(
-        precompute(scene, Transport("vertices", resolution=resolution, coefficients=128), folder / SCENE).folder
-    )
+    relighter = prepare(scene, Transport("vertices", resolution=resolution, coefficients=128), folder / SCENE)
+    assert isinstance(relighter, TransportRelighter)
     exact, kept = rows(relighter.transport)
     lights = {
         "sunset": load_environment(shared("data", "env", "blender_sunset.exr")),
@@ -90,7 +87,7 @@ def rows(transport) -> tuple[np.ndarray, np.ndarray]:
         per_group = 128 * block.reflection.terms
         for i in generator.choice(len(block.groups), GROUPS // len(transport.blocks), replace=False):
             group = int(block.groups[i])
-            bits = transport.visibility.read("bits", group)
+            bits = transport.stored.visibility.read("bits", group)
             frames = frames_of(transport.receivers, block.groups[[i]])[0]
             whole.append(bake.bake_rows(bits, frames, block.reflection, directions, transport.basis)[:, 0, 0])
             kept.append(operator.rows(np.arange(i * per_group, (i + 1) * per_group))[:, 0])

@@ -5,13 +5,13 @@ import dataclasses
 import pathlib
 import tempfile
 import time
+from typing import Literal
 
 import jax
 import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.reflection import Reflection
-from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, interleaved, megabytes, percent, shared
 from tests.benchmarks.pictures import contact_sheet
 
@@ -26,26 +26,26 @@ def main():
     parser.add_argument("--picture", type=pathlib.Path, metavar="PNG", help="write the pictures side by side")
     arguments = parser.parse_args()
     shared("data", "brdf", MATERIAL)
-    size = 64 if arguments.quick else 256
+    size, resolution = (64, 8) if arguments.quick else (256, RESOLUTION)
     parameters = (
-        f"{MATERIAL} on the bunny, a grey floor, Grace Cathedral, {size}×{size} pixels, resolution {RESOLUTION}; "
+        f"{MATERIAL} on the bunny, a grey floor, Grace Cathedral, {size}×{size} pixels, resolution {resolution}; "
         "relative L2, trimmed / untrimmed, against the table at every pixel with all coefficients"
     )
     with (
         Report("measured_material", "A measured material", parameters, not arguments.quick) as report,
         tempfile.TemporaryDirectory() as folder,
     ):
-        measure(report, pathlib.Path(folder), size, arguments.quick, arguments.picture)
+        measure(report, pathlib.Path(folder), size, resolution, arguments.quick, arguments.picture)
         report.speed()
 
 
-def measure(report: Report, folder: pathlib.Path, size: int, quick: bool, picture: pathlib.Path | None):
+def measure(
+    report: Report, folder: pathlib.Path, size: int, resolution: int, quick: bool, picture: pathlib.Path | None
+):
     """A row for the table, for every fit and for every number of factors."""
     from fitting import Options, fit_lafortune
     from jaxrelight import factor, image_error, load_scene
     from jaxrelight.brdf.files import load_brdf
-    from jaxrelight.lighting.transport import TransportRelighter
-    from jaxrelight.transport.rebake import exact, rebake
 
     table = load_brdf(shared("data", "brdf", MATERIAL)).brdf
     few = 1 if quick else None
@@ -59,22 +59,22 @@ def measure(report: Report, folder: pathlib.Path, size: int, quick: bool, pictur
 
     scene = load_scene(shared("reference", "bunny_phong.toml"))
     scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size, height=size))
-    first = stored(scene, ways[0], folder)
-    whole = exact(first[0].transport)
-    same = TransportRelighter(whole).view()
-    truth = TransportRelighter(whole).image(scene.environment, same, background=False)
+    first = stored(scene, ways[0], resolution, folder)
+    whole = first[0].exact()
+    same = whole.view()
+    truth = whole.shade(whole.light(scene.lights), same).rgba()
     shown, rows = {}, []
     for way in ways:
-        relighter, made = first if way is ways[0] else stored(scene, way, folder)
-        floor, own = whole.blocks[0], relighter.transport.blocks[1]
-        uncut = TransportRelighter(rebake(whole, [floor.reflection, way.factors or own.reflection]))
-        alone = uncut.image(scene.environment, same, background=False)
-        view, light = relighter.view(), relighter.light(scene.environment)
-        shown[way.name] = relighter.image(scene.environment, view, light, background=False)
+        relighter, made = first if way is ways[0] else stored(scene, way, resolution, folder)
+        floor, own = whole.transport.blocks[0], relighter.transport.blocks[1]
+        uncut = whole.rebake([floor.reflection, way.factors or own.reflection])
+        alone = uncut.shade(uncut.light(scene.lights), same).rgba()
+        view, lit = relighter.view(), relighter.light(scene.lights)
+        shown[way.name] = relighter.shade(lit, view).rgba()
         times = interleaved(
             {
-                "light": lambda r=relighter: r.light(scene.environment),
-                "view": lambda r=relighter, light=light, view=view: r.shade(light, view),
+                "light": lambda r=relighter: r.light(scene.lights),
+                "view": lambda r=relighter, lit=lit, view=view: r.shade(lit, view),
             },
             RUNS,
         )
@@ -119,21 +119,24 @@ class Way:
     made: float = 0.0
 
     @property
-    def receivers(self) -> str:
+    def receivers(self) -> Literal["vertices", "pixels"]:
         """Factors are for receivers that know no view; the rest is baked for the view of every pixel."""
         return "vertices" if self.factors else "pixels"
 
 
-def stored(scene, way: Way, folder: pathlib.Path):
+def stored(scene, way: Way, resolution: int, folder: pathlib.Path):
     """(the scene precomputed with the material, what that took)."""
-    from jaxrelight.methods import Transport
-    from jaxrelight.precomputation.precompute import precompute
+    from jaxrelight import Transport
+    from jaxrelight.lighting.prepare import prepare_with_build
+    from jaxrelight.lighting.transport import TransportRelighter
 
     terms = way.factors.terms if way.factors else 1
-    settings = Transport("vertices", way.receivers, RESOLUTION, terms=terms, coefficients=COEFFICIENTS)
+    method = Transport(way.receivers, resolution, terms=terms, coefficients=COEFFICIENTS)
     scene = dataclasses.replace(scene, materials={**scene.materials, "object": way.brdf})
-    made = precompute(scene, settings, folder / way.receivers)
-    return open_store(made.folder), made
+    relighter, made = prepare_with_build(scene, method, folder / way.receivers)
+    assert isinstance(relighter, TransportRelighter)
+    assert made is not None
+    return relighter, made
 
 
 def _timed(make):

@@ -12,22 +12,20 @@ from typing import Any
 
 import numpy as np
 
+from jaxrelight.lighting.prepare import prepare_with_build
 from jaxrelight.lighting.transport import TransportRelighter
-from jaxrelight.precomputation.load import load
-from jaxrelight.precomputation.precompute import precompute
-from jaxrelight.transport.rebake import exact
 from tests.benchmarks.clusters import _scene
 from tests.benchmarks.measuring import Report, Timing, interleaved, megabytes, percent, shared
-from tests.benchmarks.mesh_size import PAPER
+from tests.benchmarks.mesh_size import FLOOR, PAPER
 
 MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply"}
 LIGHTS = ("pmndrs_venice.exr", "grace_latlong.exr", "blender_sunset.exr")
 DIRECT: dict[str, dict[str, Any]] = {
     "rows, N = 128": {"coefficients": 128},
     "rows, N = 128, 8 bits": {"coefficients": 128, "bits": 8},
-    "clusters, 0.03": {"tolerance": 0.03},
-    "clusters, 0.02": {"tolerance": 0.02},
-    "clusters, 0.02, 8 bits": {"tolerance": 0.02, "bits": 8},
+    "clusters, 0.03": {"compression_tolerance": 0.03},
+    "clusters, 0.02": {"compression_tolerance": 0.02},
+    "clusters, 0.02, 8 bits": {"compression_tolerance": 0.02, "bits": 8},
 }
 ONE_BOUNCE = ("clusters, 0.02", "clusters, 0.02, 8 bits")
 CHAIN = 64  # lights one after the other in one call, so that what a call costs is not counted
@@ -35,11 +33,11 @@ CHAIN = 64  # lights one after the other in one call, so that what a call costs 
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.operators", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="resolution 16, a small mesh; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="resolution 8, a small mesh; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
     parser.add_argument("--only", choices=[*MESHES], help="this mesh alone; RESULTS.md is left as it is")
     arguments = parser.parse_args()
-    resolution, runs = (16, 3) if arguments.quick else (64, 15)
+    resolution, runs, floor = (8, 3, 16) if arguments.quick else (64, 15, FLOOR)
     meshes = {"teapot": "teapot.obj"} if arguments.quick else MESHES
     if arguments.only:
         meshes = {arguments.only: MESHES[arguments.only]}
@@ -60,7 +58,7 @@ def main():
         )
         for name, file in meshes.items():
             for terms in (1, 4):
-                scene = _scene(shared("data", "mesh", file), terms)
+                scene = _scene(shared("data", "mesh", file), terms, floor)
                 compare(report, name, scene, terms, resolution, folder / name, runs)
         if backend() == "gpu":
             report.text(f"The GPU: {gpu()}.")
@@ -73,22 +71,23 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, folde
 
     environments = [jr.load_environment(shared("data", "env", file)) for file in LIGHTS]
     made, relighters = {}, {}
+
+    def prepare(label: str, **dials):
+        # A sun, where a light has one, is compressed like all else.
+        method = jr.Transport("vertices", resolution=resolution, terms=terms, split_sun=False, **dials)
+        relighters[label], made[label] = prepare_with_build(scene, method, folder)
+
     for label, dials in DIRECT.items():
-        settings = jr.Transport("vertices", resolution=resolution, terms=terms, **dials)
-        made[label] = precompute(scene, settings, folder)
-        relighters[label] = TransportRelighter(load(made[label].folder, made[label].header, made[label].placed))
+        prepare(label, **dials)
     first = next(iter(relighters.values()))
-    view = first.view()
-    exact = TransportRelighter(exact(first.transport))
+    assert isinstance(first, TransportRelighter)
+    view, exact = first.view(), first.exact()
     wanted = [_surface(exact, one, view) for one in environments]
     clock = time.perf_counter()
     exact.light(environments[0])
     exact_seconds = time.perf_counter() - clock
     for label in ONE_BOUNCE:
-        settings = jr.Transport("vertices", resolution=resolution, terms=terms, bounces=1, **DIRECT[label])
-        more = f"{label}, one bounce"
-        made[more] = precompute(scene, settings, folder)
-        relighters[more] = TransportRelighter(load(made[more].folder, made[more].header, made[more].placed))
+        prepare(f"{label}, one bounce", bounces=1, **DIRECT[label])
     lights, views = _times(relighters, environments[0], view, runs)
     shares = gpu_shares(relighters, environments[0], runs) if backend() == "gpu" else {}
     rows = []
@@ -119,7 +118,9 @@ def _times(relighters, environment, view, runs: int) -> tuple[dict[str, Timing],
     vector = next(iter(relighters.values())).light_vector(_pixels(environment, relighters))
     terms = {label: jax.block_until_ready(relighter.terms(vector)) for label, relighter in relighters.items()}
     lights = {label: lambda one=one: one.terms(vector) for label, one in relighters.items()}
-    views = {label: lambda label=label, one=one: one.shade(terms[label], view) for label, one in relighters.items()}
+    views = {
+        label: lambda label=label, one=one: one.shade_terms(terms[label], view) for label, one in relighters.items()
+    }
     return interleaved(lights, runs), interleaved(views, runs)
 
 
@@ -155,7 +156,7 @@ def gpu_shares(relighters, environment, runs: int) -> dict[str, list[str]]:
         return jax.lax.scan(add, start, vectors)[0]
 
     large = jnp.ones(2**28)
-    operators = {label: [operator for _, operator in one.transport.each] for label, one in relighters.items()}
+    operators = {label: one.transport.operator.operators for label, one in relighters.items()}
     sides = {label: lambda one=one: chain(one, vectors) for label, one in operators.items()}
     read = jax.jit(jnp.sum)
     times = interleaved({"reading": lambda: read(large), **sides}, runs)
@@ -173,14 +174,13 @@ def _pixels(environment, relighters):
 
     from jaxrelight.lights.environment import coarsened
 
-    resolution = next(iter(relighters.values())).transport.method.resolution
+    resolution = next(iter(relighters.values())).method.resolution
     return jnp.asarray(coarsened(environment.pixels, resolution))
 
 
 def _surface(relighter, environment, view) -> np.ndarray:
-    """Radiance of the pixels under a light whose sun, if it has one, is compressed like all else."""
-    terms = relighter.light(environment, split_sun=False)
-    return relighter.image(environment, view, terms, background=False)
+    """The picture of an environment's light, without background."""
+    return relighter.shade(relighter.light(environment), view).rgba()
 
 
 def _error(relighter, environments, view, wanted) -> float:

@@ -9,7 +9,6 @@ import time
 
 import numpy as np
 
-from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import (
     Report,
     Timing,
@@ -33,7 +32,7 @@ PAPER = "Wang 2006 (P4 2.4 GHz, GeForce 6800)"
 
 def main():
     parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="resolution 16; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="resolution 8, one case; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="where new stores go, and stay")
     parser.add_argument("--case", type=int, choices=range(len(CASES)), help="one of the cases")
     parser.add_argument("--child", choices=("precompute", "relight"), help=argparse.SUPPRESS)
@@ -47,13 +46,14 @@ def main():
         relight_child(arguments.scene, arguments.folder, 3 if arguments.quick else 21)
     else:
         shared("reference")
-        resolution = 16 if arguments.quick else 64
+        resolution = 8 if arguments.quick else 64
         parameters = (
             f"bunny with floor, vertices as receivers, N = 128, resolution {resolution}, 1 ray a texel; every "
             "precomputation in a fresh process and a fresh store"
         )
         write = not (arguments.quick or arguments.case is not None)
-        chosen = CASES if arguments.case is None else CASES[arguments.case : arguments.case + 1]
+        case = len(CASES) - 1 if arguments.quick and arguments.case is None else arguments.case
+        chosen = CASES if case is None else CASES[case : case + 1]
         with contextlib.ExitStack() as stack:
             folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
             report = stack.enter_context(Report("precompute", "Precomputation and relighting", parameters, write))
@@ -173,8 +173,7 @@ def relight_apart(scene: pathlib.Path, store: pathlib.Path, quick: bool) -> dict
 
 def precompute_child(path: pathlib.Path, terms: int, resolution: int, folder: pathlib.Path):
     """Precomputes in this process, and tells what it took."""
-    from jaxrelight import load_scene
-    from jaxrelight.methods import Transport
+    from jaxrelight import Transport, load_scene
     from jaxrelight.precomputation.precompute import precompute
 
     scene = load_scene(path)
@@ -191,20 +190,22 @@ def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
     import jax
     import jax.numpy as jnp
 
-    from jaxrelight import load_scene
+    from jaxrelight import load_scene, open_store
+    from jaxrelight.lighting.transport import TransportRelighter
 
-    environment = load_scene(path).environment
+    environment = load_scene(path).lights.environment
     assert environment is not None
     start = time.perf_counter()
     relighter = open_store(folder)
+    assert isinstance(relighter, TransportRelighter)
     load = time.perf_counter() - start
 
     turns = iter(np.random.default_rng(0).uniform(0, 360, 10_000))
 
     def turned():
-        return dataclasses.replace(environment, rotate_y=float(next(turns)))
+        return environment.with_(rotate_y=float(next(turns)))
 
-    own = relighter.transport.camera
+    own = relighter.camera
     cameras = {f"{size}×{size}": dataclasses.replace(own, width=size, height=size) for size in (own.width, 512)}
 
     def moved(camera):
@@ -215,15 +216,15 @@ def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
         return dataclasses.replace(camera, origin=tuple((turn + camera.target).tolist()))
 
     start = time.perf_counter()
-    terms = jax.block_until_ready(relighter.light(environment))
+    lit = jax.block_until_ready(relighter.light(environment))
     first_light = time.perf_counter() - start
     start = time.perf_counter()
-    jax.block_until_ready(relighter.shade(terms, relighter.view()))
+    jax.block_until_ready(relighter.shade(lit, relighter.view()))
     first_view = time.perf_counter() - start
 
     from jaxrelight.lights.environment import coarsened
 
-    pixels = jnp.asarray(coarsened(environment.pixels, relighter.transport.method.resolution))
+    pixels = jnp.asarray(coarsened(environment.pixels, relighter.method.resolution))
     vector = relighter.light_vector(pixels)
     sides = {
         "light": lambda: relighter.light(turned()),
@@ -235,9 +236,9 @@ def relight_child(path: pathlib.Path, folder: pathlib.Path, runs: int):
         view = relighter.view(camera)
 
         def changed(camera=camera):
-            return relighter.shade(terms, relighter.view(moved(camera)))
+            return relighter.shade(lit, relighter.view(moved(camera)))
 
-        shaded = {f"view {size}": changed, f"shade {size}": lambda view=view: relighter.shade(terms, view)}
+        shaded = {f"view {size}": changed, f"shade {size}": lambda view=view: relighter.shade(lit, view)}
         times |= interleaved(shaded, runs)
     answer(
         {

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrelight.lights.prefiltered import PrefilteredMaps
 from tests.benchmarks.measuring import Report, interleaved, percent, shared
 
 ENVIRONMENTS = "grace_latlong.exr", "blender_sunset.exr"
@@ -23,12 +24,13 @@ RUNS = 5
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.prefiltered", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="few directions, small pictures; RESULTS.md is left")
+    parser.add_argument("--quick", action="store_true", help="a small environment, few directions; RESULTS.md is left")
     quick = parser.parse_args().quick
     shared("data", "env")
-    parameters = f"{', '.join(ENVIRONMENTS)} at 1024×512; the finest map has 512 rows"
+    rows = 128 if quick else 512
+    parameters = f"{', '.join(ENVIRONMENTS)} at {2 * rows}×{rows}; the finest map has {rows} rows"
     with Report("prefiltered", "Prefiltered environments", parameters, not quick) as report:
-        skies = {name: sky(name) for name in ENVIRONMENTS}
+        skies = {name: sky(name, rows) for name in ENVIRONMENTS[: 1 if quick else None]}
         made = building(report, skies)
         quadrature(report, skies, made, 40 if quick else DIRECTIONS)
         horizons(report, skies, 10 if quick else FRAMES)
@@ -36,11 +38,11 @@ def main():
         report.speed()
 
 
-def sky(name: str) -> np.ndarray:
+def sky(name: str, rows: int) -> np.ndarray:
     from jaxrelight import load_environment
     from jaxrelight.basis import latlong
 
-    return latlong.resized(load_environment(shared("data", "env", name)).pixels, 512, 1024)
+    return latlong.resized(load_environment(shared("data", "env", name)).pixels, rows, 2 * rows)
 
 
 def building(report: Report, skies: dict) -> dict:
@@ -50,7 +52,7 @@ def building(report: Report, skies: dict) -> dict:
     seconds, made = [], {}
     for pixels in (next(iter(skies.values())), *skies.values()):
         start = time.perf_counter()
-        maps = jax.block_until_ready(prefilter(pixels))
+        maps = jax.block_until_ready(prefilter(pixels, len(pixels)))
         seconds.append(time.perf_counter() - start)
         made[id(pixels)] = maps
     first, *again = seconds
@@ -59,7 +61,8 @@ def building(report: Report, skies: dict) -> dict:
         f"{first:.1f} s with all that is compiled, {np.median(again):.1f} s afterwards (target ≤ 5 s)."
     )
     start = time.perf_counter()
-    equal = jax.block_until_ready(prefilter(next(iter(skies.values())), equal=True))
+    pixels = next(iter(skies.values()))
+    equal = jax.block_until_ready(prefilter(pixels, len(pixels), equal=True))
     report.text(
         f"All maps of equal size instead: {time.perf_counter() - start:.1f} s, {equal.texels.nbytes / 1e6:.0f} MB; "
         'they are the rows "equal maps" below.'
@@ -155,13 +158,18 @@ def _forms(brdf, omega_o, frames, maps, horizon):
 
 def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
     """A picture against sampling the environment by the BRDF's lobes."""
-    from jaxrelight import load_scene
-    from jaxrelight.lighting.prefiltered import look_at
+    from jaxrelight import load_scene, prepare
+    from jaxrelight.lighting.prefiltered import PrefilteredRelighter
+    from jaxrelight.methods import Prefiltered
 
     scene = load_scene(shared("reference", "spot_lafortune.toml"))
-    seen = look_at(dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size[0], height=size[1])))
-    part = next(part for part in seen.materials if part.name == "object")
-    brdf, pixels_of_it = part.components[0].brdf, int(np.sum(np.asarray(part.pixels.pixel) < seen.covered.size))
+    relighter = prepare(scene, Prefiltered())
+    assert isinstance(relighter, PrefilteredRelighter)
+    view = relighter.view(dataclasses.replace(scene.camera, width=size[0], height=size[1]))
+    names = [material.name for material in relighter.materials]
+    part = next(part for part in view.parts if names[part.material] == "object")
+    brdf = relighter.materials[part.material].components[0].brdf
+    pixels_of_it = int(np.sum(np.asarray(part.pixels.pixel) < view.covered.size))
     some = np.sort(np.random.default_rng(0).choice(pixels_of_it, min(pixels_of_it, SUBSET), replace=False))
     few = jax.tree.map(lambda leaf: leaf[some], part.pixels)
     rows = []
@@ -206,7 +214,7 @@ def mips(pixels: np.ndarray):
 
     heights = tuple(len(pixels) >> level for level in range(8))
     maps = [latlong.resized(pixels, height, 2 * height).reshape(-1, 3) for height in heights]
-    return Prefiltered(jnp.asarray(np.concatenate(maps)), heights)
+    return PrefilteredMaps(jnp.asarray(np.concatenate(maps)), heights)
 
 
 def _exactly(brdf, pixels, sky: np.ndarray) -> np.ndarray:
@@ -239,9 +247,9 @@ def _sampled(brdf, pixels, sky, count: int):
     from jaxrelight.basis import latlong
     from jaxrelight.brdf.lobe_sampling import LobeSampler
 
-    # The generalised golden ratio in three dimensions.
-    lattice = jnp.asarray(np.outer(np.arange(count) + 0.5, 1.2207440846057596 ** -np.arange(1, 4)) % 1, jnp.float32)
-    turns = jax.random.uniform(jax.random.key(0), (len(pixels.omega_o), 3))
+    # The generalised golden ratio in two dimensions.
+    lattice = jnp.asarray(np.outer(np.arange(count) + 0.5, 1.324717957244746 ** -np.arange(1.0, 3.0)) % 1, jnp.float32)
+    turns = jax.random.uniform(jax.random.key(0), (len(pixels.omega_o), 2))
 
     def shade(frame, omega_o, turn):
         sampler = LobeSampler(brdf, omega_o)
@@ -251,7 +259,7 @@ def _sampled(brdf, pixels, sky, count: int):
             u, v = latlong.finite_coordinates(omega_i @ frame)
             density = sampler.pdf(omega_i)
             value = brdf.evaluate(omega_i, omega_o) * jnp.maximum(omega_i[2], 0) / density
-            if not isinstance(sky, Prefiltered):
+            if not isinstance(sky, PrefilteredMaps):
                 return value * latlong.look_up(sky, u, v)
             # A sample stands for 1/(count · density) steradians, a pixel of the finest map for 4π/2h².
             level = jnp.log2(sky.heights[0] ** 2 / (2 * np.pi * count * density)) / 2

@@ -2,11 +2,14 @@
 
 import argparse
 import dataclasses
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf.spatial import Minification
+from jaxrelight.lighting.prefiltered import PrefilteredRelighter
+from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from tests.benchmarks.measuring import Report, Timing, interleaved, shared
 
 LOBES = LIGHTS = 1, 2, 3
@@ -66,31 +69,58 @@ def lamps():
     ]
 
 
-def seen_with(scene, brdf, minification: Minification = "none"):
+class Frame(NamedTuple):
+    """What the scene's camera sees, ready to be lit."""
+
+    relighter: PrefilteredRelighter
+    view: VisibleSurfaces
+
+    def under(self, light):
+        """The picture of a light that is prepared already."""
+        return self.relighter.shade(light, self.view).radiance
+
+    def lit_by(self, lamps):
+        """The picture of local lights, which may have moved."""
+        return self.under(self.relighter.light(lamps))
+
+    def by(self, **dials) -> "Frame":
+        """The same by other dials."""
+        method = dataclasses.replace(self.relighter.method, **dials)
+        return self._replace(relighter=dataclasses.replace(self.relighter, method=method))
+
+
+def frame_of(scene, brdf, minification: Minification = "none") -> Frame:
+    """A frame without shadows."""
+    from jaxrelight import Prefiltered, prepare
     from jaxrelight.brdf.material import Component, Material
-    from jaxrelight.lighting.prefiltered import look_at
 
     material = brdf if isinstance(brdf, Material) else Material((Component(brdf),))
-    return look_at(dataclasses.replace(scene, materials={"skin": material}), minification)
+    scene = dataclasses.replace(scene, materials={"skin": material})
+    relighter = prepare(scene, Prefiltered(shadows=False, minification=minification))
+    assert isinstance(relighter, PrefilteredRelighter)
+    return Frame(relighter, relighter.view())
+
+
+def grey_sky():
+    from jaxrelight import environment
+
+    return environment(np.ones((8, 16, 3), np.float32))
 
 
 def lobes_and_lights(report: Report, scene, side: int):
     """Table 1 of the paper."""
-    from jaxrelight.lights.prefiltered import prefilter
-
-    environment, lights = prefilter(np.ones((8, 16, 3), np.float32)), lamps()
-    every = {lobes: seen_with(scene, maps(side, lobes)) for lobes in LOBES}
-    ways = {}
+    every, lights = {lobes: frame_of(scene, maps(side, lobes)) for lobes in LOBES}, lamps()
+    sky, ways = every[LOBES[0]].relighter.light(grey_sky()), {}
     for count in LIGHTS:
         some, name = lights[:count], f"{count} light{'s' if count > 1 else ''}"
-        ways[name] = lambda seen, some=some: seen.lit_by(some, shadows=False)
-        ways[f"{name}, shadows"] = lambda seen, some=some: seen.lit_by(some)
-    ways["prefiltered environment"] = lambda seen: seen.under(environment)
-    ways["… four texels evaluated"] = lambda seen: seen.under(environment, texels="reflectance")
-    sides = {f"{way}, {n}": lambda s=seen, w=shade: w(s) for way, shade in ways.items() for n, seen in every.items()}
+        ways[name] = lambda frame, some=some: frame.lit_by(some)
+        ways[f"{name}, shadows"] = lambda frame, some=some: frame.by(shadows=True).lit_by(some)
+    ways["prefiltered environment"] = lambda frame: frame.under(sky)
+    ways["… four texels evaluated"] = lambda frame: frame.by(texels="reflectance").under(sky)
+    sides = {f"{way}, {n}": lambda f=frame, w=shade: w(f) for way, shade in ways.items() for n, frame in every.items()}
     times = interleaved(sides, RUNS)
     rows = [[way, *(f"{1 / times[f'{way}, {n}'].median:.1f}" for n in LOBES)] for way in ways]
-    covered = int(every[LOBES[0]].covered.sum())
+    covered = int(every[LOBES[0]].view.covered.sum())
     report.text(
         f"**Lobes × lights**, the layout of Table 1, maps of {side}² distinct BRDFs, {covered:,} pixels of the "
         "surface. The paper's rates, on its hardware and 25 % of its scene: 50.7, 29.5, 20.8 with one light, 20.8, "
@@ -105,19 +135,20 @@ def distinct(report: Report, scene, sides: tuple[int, ...], most: int):
     from jaxrelight.brdf.material import Component, Material
     from jaxrelight.brdf.separable import separable
     from jaxrelight.brdf.texture import Texture
-    from jaxrelight.lights.prefiltered import prefilter
 
-    light, environment = lamps()[:1], prefilter(np.ones((8, 16, 3), np.float32))
-    drawn = {f"{side**2:,}": maps(side, 1) for side in sides}
+    light, drawn = lamps()[:1], {f"{side**2:,}": maps(side, 1) for side in sides}
+    frames = {(count, m): frame_of(scene, one, m) for count, one in drawn.items() for m in ("none", "averaged")}
+    sky = next(iter(frames.values())).relighter.light(grey_sky())
     ways = {
-        "finest level, light": ("none", lambda seen: seen.lit_by(light, shadows=False)),
-        "environment": ("none", lambda seen: seen.under(environment)),
-        "levels, light": ("averaged", lambda seen: seen.lit_by(light, shadows=False)),
-        "levels, environment": ("averaged", lambda seen: seen.under(environment)),
+        "finest level, light": ("none", lambda frame: frame.lit_by(light)),
+        "environment": ("none", lambda frame: frame.under(sky)),
+        "levels, light": ("averaged", lambda frame: frame.lit_by(light)),
+        "levels, environment": ("averaged", lambda frame: frame.under(sky)),
     }
-    seen = {(count, m): seen_with(scene, one, m) for count, one in drawn.items() for m in ("none", "averaged")}
     runs = {
-        f"{count} {way}": lambda s=seen[count, m], w=shade: w(s) for count in drawn for way, (m, shade) in ways.items()
+        f"{count} {way}": lambda f=frames[count, m], w=shade: w(f)
+        for count in drawn
+        for way, (m, shade) in ways.items()
     }
     times = interleaved(runs, RUNS)
     rows = []
@@ -133,8 +164,8 @@ def distinct(report: Report, scene, sides: tuple[int, ...], most: int):
     masks = [Texture(jnp.asarray(np.random.default_rng(i).random((64, 64, 1)), jnp.float32)) for i in range(BRDFS[-1])]
     brdfs = [separable(factor(phong(0.3, 0.3, 5 + i), TERMS)) for i in range(BRDFS[most - 1])]
     parts = [Component(brdf, (mask,)) for brdf, mask in zip(brdfs, masks, strict=False)]
-    factored = {count: seen_with(scene, Material(tuple(parts[:count]))) for count in BRDFS[:most]}
-    times = interleaved({str(n): lambda s=s: s.lit_by(light, shadows=False) for n, s in factored.items()}, RUNS)
+    factored = {count: frame_of(scene, Material(tuple(parts[:count]))) for count in BRDFS[:most]}
+    times = interleaved({str(n): lambda f=frame: f.lit_by(light) for n, frame in factored.items()}, RUNS)
     report.text(f"**Factored BRDFs**, {TERMS} terms each, blended by masks, one light without shadows.")
     rows = [[count, _milliseconds(time), f"{time.over(times['1']):.2f}"] for count, time in times.items()]
     report.table(["BRDFs", "light", "ratio"], rows)

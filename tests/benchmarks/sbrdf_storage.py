@@ -142,12 +142,16 @@ CHANGES: dict[str, Callable] = {
 
 def pictures(level: SbrdfLevel, size: int, sky) -> list[np.ndarray]:
     """Under the environment, and under the lights."""
-    from jaxrelight.lighting.prefiltered import look_at
+    from jaxrelight import Prefiltered, prepare
+    from jaxrelight.lighting.prefiltered import PrefilteredRelighter, shade_environment
     from tests.benchmarks.composed_cow import cow
 
     scene = cow([level], size)
-    seen = look_at(dataclasses.replace(scene, parts=scene.parts[:1]))
-    return [np.asarray(seen.under(sky)), np.asarray(seen.lit_by(scene.lights))]
+    relighter = prepare(dataclasses.replace(scene, parts=scene.parts[:1]), Prefiltered())
+    assert isinstance(relighter, PrefilteredRelighter)
+    view = relighter.view()
+    lit = relighter.shade(relighter.light(scene.lights), view).radiance
+    return [np.asarray(shade_environment(relighter.materials, view, sky)), np.asarray(lit)]
 
 
 def apart(found: list[np.ndarray], truth: list[np.ndarray]) -> str:

@@ -17,47 +17,43 @@ def main():
     parser.add_argument("--quick", action="store_true", help="small maps and pictures; RESULTS.md is left as it is")
     quick = parser.parse_args().quick
     shared("data", "mesh", "spot_texture.png")
-    side, size = (32, 48) if quick else (256, 256)
+    side, size, edge, resolution = (8, 48, 0.1, 8) if quick else (256, 256, EDGE, RESOLUTION)
     parameters = (
-        f"spot with {side}² texels of six materials, edges of at most {EDGE}, {size}² pixels, resolution {RESOLUTION}, "
+        f"spot with {side}² texels of six materials, edges of at most {edge}, {size}² pixels, resolution {resolution}, "
         f"{COEFFICIENTS} coefficients; relative L2 against pixel receivers with all coefficients, trimmed / untrimmed"
     )
     with Report("sbrdf_vertices", "Spatial BRDFs at vertices", parameters, not quick) as report:
-        measure(report, side, size, TERMS[:1] if quick else TERMS)
+        measure(report, side, size, edge, resolution, TERMS[:1] if quick else TERMS)
         report.speed()
 
 
-def measure(report: Report, side: int, size: int, terms: tuple[int, ...]):
+def measure(report: Report, side: int, size: int, edge: float, resolution: int, terms: tuple[int, ...]):
     """A row for every number of terms."""
-    from jaxrelight import image_error, load_environment
-    from jaxrelight.geometry.subdivision import subdivided
-    from jaxrelight.lighting.transport import TransportRelighter
-    from jaxrelight.methods import Transport
-    from jaxrelight.precomputation.load import load
-    from jaxrelight.precomputation.precompute import precompute
+    from jaxrelight import Transport, image_error, load_environment, subdivided
+    from jaxrelight.lighting.prepare import prepare_with_build
     from tests.benchmarks.composed_cow import compose, cow, materials
 
     scene = cow([compose(materials(side), side)], size)
-    alone = dataclasses.replace(scene.parts[0], mesh=subdivided(scene.parts[0].mesh, EDGE))
+    alone = dataclasses.replace(scene.parts[0], mesh=subdivided(scene.parts[0].mesh, edge))
     scene = dataclasses.replace(scene, parts=[alone], lights=())
     skies = [load_environment(shared("data", "env", name)) for name in SKIES]
-    ways = {"pixels": Transport("pixels", resolution=RESOLUTION, coefficients="all")}
+    ways = {"pixels": Transport("pixels", resolution, coefficients="all")}
     for count in terms:
         ways[f"K = {count}"] = Transport(
-            "vertices", resolution=RESOLUTION, terms=count, coefficients=COEFFICIENTS, factor_resolution=48
+            "vertices", resolution, terms=count, coefficients=COEFFICIENTS, factor_resolution=48
         )
     truth, rows = [], []
-    for name, settings in ways.items():
+    for name, method in ways.items():
         with tempfile.TemporaryDirectory() as folder:
-            made = precompute(scene, settings, pathlib.Path(folder))
-            relighter = TransportRelighter(load(made.folder))
+            relighter, made = prepare_with_build(scene, method, pathlib.Path(folder))
+            assert made is not None
             view, lit = relighter.view(), relighter.light(skies[0])
-            pictures = [relighter.image(sky, view, background=False) for sky in skies]
+            pictures = [relighter.shade(relighter.light(sky), view).rgba() for sky in skies]
             if not truth:
                 truth = pictures
                 continue
             for note in made.notes:
-                report.text(f"K = {settings.terms}: {note}.")
+                report.text(f"K = {method.terms}: {note}.")
             sides = {
                 "light": lambda r=relighter: r.light(skies[0]),
                 "view": lambda r=relighter, lit=lit, view=view: r.shade(lit, view),

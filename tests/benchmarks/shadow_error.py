@@ -8,7 +8,6 @@ import tempfile
 
 import numpy as np
 
-from jaxrelight.lighting.prepare import open_store
 from tests.benchmarks.measuring import Report, percent, shared
 from tests.benchmarks.pictures import contact_sheet
 
@@ -19,12 +18,12 @@ SUN_RADIUS = 3.0  # degrees
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.shadow_error", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="resolution 16 instead of 64; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="resolution 16, few pixels; RESULTS.md is left as it is")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
     parser.add_argument("--pictures", type=pathlib.Path, help="write a sheet of pictures for each light here")
     arguments = parser.parse_args()
     shared("reference")
-    resolution = 16 if arguments.quick else 64
+    resolution, size = (16, 96) if arguments.quick else (64, 256)
     parameters = (
         f"{SCENE}, pixels as receivers, resolution {resolution}; relative L2, trimmed (untrimmed), against all "
         "coefficients, over the pixels of the floor that lie in shadow: those with less than 95 % of the floor's light"
@@ -34,48 +33,52 @@ def main():
         report = stack.enter_context(
             Report("shadow_error", "Shadows and kept coefficients", parameters, not arguments.quick)
         )
-        measure(report, folder, resolution, arguments.pictures)
+        measure(report, folder, resolution, size, arguments.pictures)
 
 
-def measure(report: Report, folder: pathlib.Path, resolution: int, pictures: pathlib.Path | None):
+def measure(report: Report, folder: pathlib.Path, resolution: int, size: int, pictures: pathlib.Path | None):
     """Every light with every number of coefficients."""
-    from jaxrelight import image_error, load_environment, load_scene
+    from jaxrelight import Transport, image_error, load_environment, load_scene, prepare
     from jaxrelight.lighting.transport import TransportRelighter
-    from jaxrelight.methods import Transport
-    from jaxrelight.precomputation.precompute import precompute
-    from jaxrelight.transport.rebake import exact
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
+    scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=size, height=size))
     lights = {
         f"a sun of {2 * SUN_RADIUS:.0f}°": sun(),
         "Grace": load_environment(shared("data", "env", "grace_latlong.exr"), scale=10),
         "sunset": load_environment(shared("data", "env", "blender_sunset.exr")),
     }
-    settings = Transport(receivers="pixels", resolution=resolution, coefficients=max(COUNTS))
-    most = open_store(precompute(scene, settings, folder / SCENE).folder)
-    view, whole = most.view(), TransportRelighter(exact(most.transport))
+    method = Transport("pixels", resolution=resolution, coefficients=max(COUNTS))
+    most = prepare(scene, method, folder / SCENE)
+    assert isinstance(most, TransportRelighter)
+    view, whole = most.view(), most.exact()
     relighters = {count: TransportRelighter(with_fewer(most.transport, count)) for count in COUNTS}
-    floor = np.zeros(view.covered.size, bool)
-    number = most.transport.names.index("floor")
-    pixels = np.asarray(view.materials[number].pixel)
+    covered = np.asarray(view.surfaces.covered)
+    floor = np.zeros(covered.size, bool)
+    (part,) = (part for part in view.surfaces.parts if most.materials[part.material].name == "floor")
+    pixels = np.asarray(part.pixels.pixel)
     floor[pixels[pixels < floor.size]] = True
     floor = floor.reshape(view.shape)
 
+    def picture(relighter: TransportRelighter, light) -> np.ndarray:
+        lit = relighter.light(light)
+        return relighter.shade(lit, view).rgba(relighter.background(lit, view))
+
     columns = {}
     for name, light in lights.items():
-        truth = whole.image(light, view)
+        truth = picture(whole, light)
         level = truth[..., :3].sum(axis=-1)
         shadow = floor & (level < 0.95 * np.quantile(level[floor], 0.95))
         reference = np.concatenate([truth[..., :3], shadow[..., None]], axis=-1)
         shown, column = {}, []
         for count, relighter in relighters.items():
-            image = relighter.image(light, view)
+            image = picture(relighter, light)
             error = image_error(image, reference)
             column.append(f"{percent(error.trimmed)} ({percent(error.untrimmed)})")
             shown[f"{count} ({percent(count / (6 * resolution**2))})"] = image
         columns[f"{name} ({shadow.sum():,} pixels)"] = column
         if pictures:
-            exposure = float(-np.log2(np.quantile(level[view.covered], 0.95) / 3) - 0.3)
+            exposure = float(-np.log2(np.quantile(level[covered], 0.95) / 3) - 0.3)
             title = "".join(letter if letter.isalnum() else "-" for letter in name).strip("-")
             contact_sheet(pictures / f"shadows-{title}.png", {**shown, "all": truth}, 3, exposure)
     rows = [
@@ -101,10 +104,10 @@ def sun():
 def with_fewer(transport, count: int):
     """The transport with the `count` largest of each row's kept coefficients: what baking with that number keeps."""
     from jaxrelight.operators.sparse_rows import sparse_rows
-    from jaxrelight.operators.stacked import Stacked
 
-    operators, blocks = [], []
-    for operator, block in zip(transport.operator.operators, transport.blocks, strict=True):
+    blocks = []
+    for block in transport.blocks:
+        operator = block.operator
         n = operator.indices.shape[-1]
         indices = np.asarray(operator.indices).reshape(-1, n)[: operator.row_count]
         values = np.stack([np.asarray(v).reshape(-1, n)[: operator.row_count] for v in operator.values], axis=1)
@@ -112,18 +115,17 @@ def with_fewer(transport, count: int):
         chosen = np.sort(np.argsort(-energy, axis=-1, kind="stable")[:, :count], axis=-1)
         left = np.take_along_axis(values, chosen[:, None], axis=-1)
         dropped = block.dropped + np.sum(values**2, axis=-1) - np.sum(left**2, axis=-1)
-        operators.append(sparse_rows(np.take_along_axis(indices, chosen, axis=-1), left, operator.columns))
-        blocks.append(dataclasses.replace(block, dropped=dropped))
-    total = sum(float(_energy(o, b)) for o, b in zip(transport.operator.operators, transport.blocks, strict=True))
+        fewer = sparse_rows(np.take_along_axis(indices, chosen, axis=-1), left, operator.columns)
+        blocks.append(dataclasses.replace(block, operator=fewer, dropped=dropped))
+    total = sum(_energy(block) for block in transport.blocks)
     lost = sum(float(block.dropped.sum(dtype=float)) * 3 / block.dropped.shape[1] for block in blocks)
-    return dataclasses.replace(
-        transport, operator=Stacked(tuple(operators)), blocks=tuple(blocks), kept=1 - lost / total
-    )
+    return dataclasses.replace(transport, blocks=tuple(blocks), kept=1 - lost / total)
 
 
-def _energy(operator, block) -> float:
+def _energy(block) -> float:
     """Energy of whole rows: what is kept and what is not, of three channels."""
-    kept = sum(float(np.sum(np.asarray(v, float) ** 2)) for v in operator.values) / len(operator.values)
+    values = block.operator.values
+    kept = sum(float(np.sum(np.asarray(v, float) ** 2)) for v in values) / len(values)
     return 3 * (kept + float(block.dropped.sum(dtype=float)) / block.dropped.shape[1])
 
 

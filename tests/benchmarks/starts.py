@@ -74,10 +74,10 @@ def main():
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.starts", description=__doc__)
     parser.add_argument("--before", type=pathlib.Path, metavar="CHECKOUT", help="of another version, run in turn")
     parser.add_argument("--label", default="before", help="what that version is called")
-    parser.add_argument("--quick", action="store_true", help="64 rows; RESULTS.md is left as it is")
+    parser.add_argument("--quick", action="store_true", help="64 rows, few points; RESULTS.md is left as it is")
     options = parser.parse_args()
     trees = {"now": ROOT} | ({options.label: options.before.resolve()} if options.before else {})
-    rows, runs = (64, 1) if options.quick else (256, 3)
+    rows, runs, samples, resolution = (64, 1, 1024, 8) if options.quick else (256, 3, 16384, 32)
     parameters = (
         f"{rows} rows of pixels; seconds, each of a new process, from its start to its end; folders of compiled "
         f"programs and stores are empty at first; second runs are the median of {runs}, versions in turn"
@@ -87,8 +87,8 @@ def main():
         tempfile.TemporaryDirectory() as folder,
     ):
         adaptive(report, trees, pathlib.Path(folder), rows, runs)
-        indirect(report, trees, pathlib.Path(folder), rows, runs)
-        vertices(report, trees, pathlib.Path(folder), rows)
+        indirect(report, trees, pathlib.Path(folder), rows, runs, samples)
+        vertices(report, trees, pathlib.Path(folder), rows, resolution)
         report.speed()
 
 
@@ -113,16 +113,16 @@ def adaptive(report: Report, trees, folder: pathlib.Path, rows: int, runs: int):
     table(report, trees, lines)
 
 
-def indirect(report: Report, trees, folder: pathlib.Path, rows: int, runs: int):
+def indirect(report: Report, trees, folder: pathlib.Path, rows: int, runs: int, samples: int):
     """A closed room; tracing and gathering are what emptying the store alone costs."""
     scene = shared("reference", "room_point.toml")
     size = "--width", str(rows), "--height", str(rows)
-    arguments = ["render", str(scene), "--lighting", "indirect", *size]
+    arguments = ["render", str(scene), "--lighting", "indirect", "--gather-samples", str(samples), *size]
     cases = {name: Case(tree, folder / f"indirect {name}", arguments, True) for name, tree in trees.items()}
     first = {name: case.run() for name, case in cases.items()}
     again = [{name: case.run() for name, case in cases.items()} for _ in range(runs)]
     gathered = {name: case.without_store() for name, case in cases.items()}
-    report.text("**`render room_point.toml --lighting indirect`**, 16,384 gather samples.")
+    report.text(f"**`render room_point.toml --lighting indirect`**, {samples:,} gather samples.")
 
     def beyond(name: str) -> float:
         return first[name].cpu - (gathered[name].cpu - median(again, name, "cpu"))
@@ -137,14 +137,14 @@ def indirect(report: Report, trees, folder: pathlib.Path, rows: int, runs: int):
     table(report, trees, lines)
 
 
-def vertices(report: Report, trees, folder: pathlib.Path, rows: int):
+def vertices(report: Report, trees, folder: pathlib.Path, rows: int, resolution: int):
     """Glossy transport at vertices, precomputed."""
     scene = shared("reference", "bunny_phong.toml")
     size = "--width", str(rows), "--height", str(rows)
-    arguments = ["render", str(scene), "--receivers", "vertices", "--resolution", "32", *size]
+    arguments = ["render", str(scene), "--receivers", "vertices", "--resolution", str(resolution), *size]
     cases = {name: Case(tree, folder / f"vertices {name}", arguments, True) for name, tree in trees.items()}
     first = {name: case.run() for name, case in cases.items()}
-    report.text("**`render bunny_phong.toml --receivers vertices`**, resolution 32.")
+    report.text(f"**`render bunny_phong.toml --receivers vertices`**, resolution {resolution}.")
     lines = [
         ("first run", lambda name: f"{first[name].wall:.1f}"),
         ("… of it compiling (reach: half)", lambda name: f"{first[name].compiling:.2f}"),

@@ -153,7 +153,7 @@ def measure(report: Report, subset: Subset, resolution: int, sides: list[int]) -
     from jaxrelight.images import image_error
     from jaxrelight.lights.environment import coarsened, encode
 
-    environment = subset.scene.environment  # pyright: ignore[reportAttributeAccessIssue]
+    environment = subset.scene.lights.environment  # pyright: ignore[reportAttributeAccessIssue]
     pixels = coarsened(environment.pixels, resolution)
     resampling = latlong.area_resampling(*pixels.shape[:2], resolution)
     light = encode(jnp.asarray(pixels), environment.rotate_y, environment.scale, resampling, Texels(resolution))

@@ -349,7 +349,7 @@ def test_info_on_a_store(folder, run, made):
     # A layer that another material left behind is named.
     changed = SCENE.replace("albedo = [0.5, 0.4, 0.3]", "albedo = 0.9")
     (folder / "scene.toml").write_text(changed)
-    assert run("precompute", "scene.toml", "-o", "made", *DIALS)[0] == 0
+    assert run("precompute", "scene.toml", "-o", "made", "--receivers", "vertices", *DIALS)[0] == 0
     unused = summary_of(run("info", "made", "--json"))["unused_layers"]
     assert sorted(name.partition("-")[0] for name in unused) == ["factors", "transport"]
 

@@ -8,7 +8,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.images import write_image
 from jaxrelight.lights.environment import environment
 from jaxrelight.lights.lights import Lights
-from jaxrelight.lights.local import point
+from jaxrelight.lights.local import Point, point
 
 
 def test_layout_says_how_a_map_is_read(tmp_path):
@@ -34,6 +34,7 @@ def test_local_lights_are_the_scenes_or_those_of_a_file(tmp_path):
     (tmp_path / "one.toml").write_text('[[light]]\ntype = "point"\nposition = [2, 1, 0]\nintensity = 1\n')
     assert LightOptions().lights(scene, emits=False).local == lamps
     (moved,) = LightOptions().lights(scene, emits=False, local_file=tmp_path / "one.toml").local
+    assert isinstance(moved, Point)
     np.testing.assert_array_equal(moved.position, [2, 1, 0])
 
 

@@ -1,15 +1,17 @@
 """The summaries of --json: their keys are pinned here, and documented; and how values are put in words."""
 
 import json
+import pathlib
 import re
 
 import pytest
 
-from jaxrelight.commands import summary
 from jaxrelight.commands.summary import summarize
 from jaxrelight.methods import Transport
 from tests.commands.running import DIALS, summary_of
 from tests.commands.summary_keys import DIALS_OF, KEYS, keys_of
+
+PAGE = pathlib.Path(__file__).parents[2] / "notebooks" / "guide" / "json.md"
 
 
 @pytest.mark.parametrize(
@@ -42,8 +44,11 @@ def test_keys_of_the_demo(folder, run, monkeypatch):
 
 def test_every_key_is_documented():
     """Those of settings are the options' names, and say so."""
-    assert summary.__doc__ is not None
-    words = set(re.findall(r"\w+", summary.__doc__)) | {"*", "factors", *set().union(*DIALS_OF.values())}
+    words = set(re.findall(r"\w+", PAGE.read_text(encoding="utf-8"))) | {
+        "*",
+        "factors",
+        *set().union(*DIALS_OF.values()),
+    }
     for kind, keys in KEYS.items():
         # Kinds of layers and maps are names that the command gives.
         named = (key for key in keys if not key.startswith(("bytes.", "maps.")))

@@ -80,7 +80,8 @@ def test_a_new_process_opens_it_once_their_module_is_imported(made):
     refused, values, light = done.stdout.splitlines()
     assert refused == (
         f"the store's material 'skin' is of the class 'Ggx' of the module '{MODULE}', which is not imported, and a "
-        f"store does not import modules, since that runs their code; import {MODULE} before the store is opened"
+        f"store does not import modules, since that runs their code; import {MODULE} before the store is opened, on "
+        f"the command line by --import {MODULE}"
     )
     np.testing.assert_allclose(json.loads(values), skin.evaluate(OMEGA, OMEGA), rtol=1e-6)
     assert light == "Striped [1.0, 2.0, 3.0]"

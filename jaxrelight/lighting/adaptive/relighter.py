@@ -172,6 +172,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         if lit.pyramid is None:
             return AdaptiveTraced(None, None, visibility)
         plan = self.plan(lit, view, report=report)
+        held, view = jax.lax.stop_gradient((self, view))
+        return AdaptiveTraced(plan, held._work(view, plan, report), visibility)
+
+    def _work(self, view: AdaptiveView, plan: Plan, report: Report | None):
+        """See `AdaptiveTraced.work`."""
         heard, layers = _Progress(report, plan.samples) if report else None, []
         for number, layer in enumerate(plan.layers):
             work, counts = [], np.asarray(layer.counts)
@@ -185,7 +190,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
                 if heard:
                     heard(int(mine.sum()))
             layers.append(tuple(work))
-        return AdaptiveTraced(plan, tuple(layers), visibility)
+        return tuple(layers)
 
     def shade(
         self,
@@ -276,11 +281,15 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         Raises:
             InputError: inside of jit, as a plan's size follows from the light's values.
         """
-        if is_traced((lit, view, self)):
+        held, lit, view, predicted = jax.lax.stop_gradient((self, lit, view, predicted))
+        if is_traced((held, lit, view, predicted)):
             raise InputError(
                 "a plan of samples follows from the light's values, which are not known inside of jit; call trace "
                 "outside and pass its result to shade"
             )
+        return held._plan(lit, view, predicted, report)
+
+    def _plan(self, lit: AdaptiveLight, view: AdaptiveView, predicted, report: Report | None) -> Plan:
         method, light = self.method, _pyramid_of(lit)
         tolerance = DEFAULT_TOLERANCE if method.samples is None and method.tolerance is None else method.tolerance
         if report:

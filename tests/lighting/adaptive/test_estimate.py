@@ -195,7 +195,7 @@ def below(_, towards: np.ndarray) -> np.ndarray:
 def test_listed_work_is_what_is_estimated_at_once():
     """With its rays cast before; of pixels that have none, and of more batches than one."""
     part, pixels = sampled(GLOSSY), view().pixels
-    mixed = np.where(view().real, np.arange(len(view().real)) % 4 * 8 * RUN, 0)
+    mixed = np.where(view().real, np.arange(len(view().real)) % 4 * 64 * RUN, 0)
     for blocked in (None, below):
         wanted = np.asarray(estimate(part, sky(), pixels, mixed, 5, blocked=blocked))
         work = list_work(part, pixels, mixed, 5, blocked)
