@@ -49,6 +49,10 @@ def values(seed: int, *shape: int) -> Any:
     return np.random.default_rng(seed).uniform(0.1, 1, shape).astype(np.float32)
 
 
+def indices(seed: int) -> Any:
+    return np.arange(2) + seed
+
+
 def paint(seed: int) -> LobeSum:
     return jr.phong(0.2 + 0.1 * seed, 0.5, 9 + seed)
 
@@ -146,14 +150,14 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
         lambda seed: clusters(seed).apply(values(seed, 96, 3)),
         lambda seed: clusters(seed).apply_many(values(seed, 9, 96, 3)),
         lambda seed: clusters(seed).transpose(values(seed, 4, 3)),
-        lambda seed: clusters(seed).rows(np.arange(2) + seed),
+        lambda seed: clusters(seed).rows(indices(seed)),
         lambda seed: as_lineax(clusters(seed)).mv(values(seed, 96, 3)),
     ],
     "operators/sparse_rows": [
         lambda seed: rows(seed).apply(values(seed, 96, 3)),
         lambda seed: rows(seed).apply_many(values(seed, 9, 96, 3)),
         lambda seed: rows(seed).transpose(values(seed, 6, 3)),
-        lambda seed: rows(seed).rows(np.arange(2) + seed),
+        lambda seed: rows(seed).rows(indices(seed)),
         lambda seed: as_lineax(rows(seed)).mv(values(seed, 96, 3)),
         lambda seed: latlong.area_resampling(8, 16, 4).apply(values(seed, 8, 16, 3)),
         lambda seed: encode(
