@@ -62,7 +62,7 @@ def _picture(mesh, material, folder, receivers="pixels") -> np.ndarray:
     made = precompute(scene, dataclasses.replace(SETTINGS, receivers=receivers), folder)
     assert len(made.notes) == (receivers == "vertices" and isinstance(material, Material))
     relighter = open_store(made.folder)
-    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
+    return np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])
