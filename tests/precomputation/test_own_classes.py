@@ -70,7 +70,8 @@ except jr.InputError as error:
 assert "{MODULE}" not in sys.modules
 import_classes("{MODULE}")
 opened = load(sys.argv[1])
-print(opened.transport.blocks[0].brdf.evaluate(*[sys.modules["numpy"].asarray({OMEGA.tolist()}, "float32")] * 2).tolist())
+omega = sys.modules["numpy"].asarray({OMEGA.tolist()}, "float32")
+print(opened.transport.blocks[0].brdf.evaluate(omega, omega).tolist())
 (light,) = opened.stored.lights().local
 print(type(light).__name__, light.lamp.intensity.tolist())
 """
