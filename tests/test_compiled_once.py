@@ -3,7 +3,6 @@
 import functools
 import pathlib
 import re
-import tempfile
 from collections.abc import Callable
 from typing import Any
 
@@ -33,7 +32,6 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.sampling import CellSampler, directional_albedo
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import factor_spatial
-from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lighting.prefiltered import PrefilteredRelighter
 from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.lights.environment import encode
@@ -49,6 +47,10 @@ UP: Any = np.array([0.0, 0.6, 0.8], np.float32)
 
 def values(seed: int, *shape: int) -> Any:
     return np.random.default_rng(seed).uniform(0.1, 1, shape).astype(np.float32)
+
+
+def indices(seed: int) -> Any:
+    return np.arange(2) + seed
 
 
 def paint(seed: int) -> LobeSum:
@@ -121,15 +123,6 @@ def background(seed: int):
     return relighter(seed).background(relighter(seed).light(sky(seed)), view(seed))
 
 
-@functools.cache
-def gathering() -> IndirectRelighter:
-    method = jr.Indirect(gather_samples=64, bounces=1, direct_samples=1)
-    with tempfile.TemporaryDirectory() as folder:
-        found = jr.prepare(scene(0), method, folder)
-    assert isinstance(found, IndirectRelighter)
-    return found
-
-
 # By the file that loops. What is lit by a whole scene is counted in `lighting/test_compilations.py`.
 FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     "basis/zonal": [lambda seed: zonal.zonal_means(values(seed, 8, 16, 3), 2.0 + seed)],
@@ -150,7 +143,6 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     "fitting/solve": [fit],
     "fitting/starts": [fit],
     "lighting/direct_light": [lambda seed: shaded(seed, jr.point([seed, 3.0, 1], 2.0 + seed))],
-    "lighting/indirect": [lambda seed: gathering().light(jr.point([seed, 3.0, 1], 2.0 + seed))],
     "lighting/prefiltered": [lambda seed: shaded(seed, sky(seed)), background],
     "lights/sky": [lambda seed: jr.sky_of(sky(seed), 16)],
     "lights/sun": [lambda seed: without_sun(with_sun(seed))],
@@ -158,14 +150,14 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
         lambda seed: clusters(seed).apply(values(seed, 96, 3)),
         lambda seed: clusters(seed).apply_many(values(seed, 9, 96, 3)),
         lambda seed: clusters(seed).transpose(values(seed, 4, 3)),
-        lambda seed: clusters(seed).rows(np.arange(2) + seed),
+        lambda seed: clusters(seed).rows(indices(seed)),
         lambda seed: as_lineax(clusters(seed)).mv(values(seed, 96, 3)),
     ],
     "operators/sparse_rows": [
         lambda seed: rows(seed).apply(values(seed, 96, 3)),
         lambda seed: rows(seed).apply_many(values(seed, 9, 96, 3)),
         lambda seed: rows(seed).transpose(values(seed, 6, 3)),
-        lambda seed: rows(seed).rows(np.arange(2) + seed),
+        lambda seed: rows(seed).rows(indices(seed)),
         lambda seed: as_lineax(rows(seed)).mv(values(seed, 96, 3)),
         lambda seed: latlong.area_resampling(8, 16, 4).apply(values(seed, 8, 16, 3)),
         lambda seed: encode(
@@ -180,7 +172,7 @@ ELSEWHERE = {
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
 }
 # What takes seconds to compile the first time.
-DEAR = "fitting/factors", "fitting/sbrdf_levels", "lighting/indirect"
+DEAR = "fitting/factors", "fitting/sbrdf_levels"
 CASES = [
     pytest.param(file, number, marks=[pytest.mark.slow] * (file in DEAR))
     for file, of_file in FUNCTIONS.items()

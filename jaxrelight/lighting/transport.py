@@ -35,7 +35,7 @@ from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
-from jaxrelight.numerics.arrays import is_traced
+from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.operators.algebra import Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator
@@ -171,7 +171,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         resampling = latlong.area_resampling(height, width, self.method.resolution)
         return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
 
-    def terms(self, light: Float[Array, "*n d c"]) -> LightTerms:
+    def terms(self, light: Float[Array | np.ndarray, "*n d c"]) -> LightTerms:
         """Light terms of a light vector: one application of the operator.
 
         Those of a block are followed by zeros, which nobody reads, up to one of few lengths, so that another scene of
@@ -184,6 +184,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         d = self.transport.operator.shape[1]
         if light.ndim not in (2, 3) or light.shape[-2] != d:
             raise InputError(f"light has shape {tuple(light.shape)}; it must be [{d:,}, c], or [n, {d:,}, c]")
+        light = as_array(light)
         return tuple(_with_emitted(_terms(block.operator, light, block), block) for block in self.transport.blocks)
 
     def light(self, lights: LightsLike) -> TransportLight:

@@ -79,7 +79,7 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, edges: dict[s
     columns = []
     for name, edge in edges.items():
         scene = folder / f"{name}.toml"
-        scene.write_text(scene_text(*CASES[name][:-1], edge))
+        scene.write_text(scene_text(*CASES[name][:-1], edge))  # pyright: ignore[reportCallIssue]
         told = run_child(MODULE, "--child", str(scene), "--resolution", str(resolution))
         columns.append(told)
         if pictures:

@@ -14,9 +14,9 @@ from jaxrelight.brdf.texture import Texture
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.geometry.surfaces import join
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
+from tests.opening import open_transport
 
 SETTINGS = Transport("pixels", resolution=8, terms=2, coefficients="all", factor_resolution=12)
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
@@ -61,8 +61,8 @@ def _picture(mesh, material, folder, receivers="pixels") -> np.ndarray:
     scene = Scene([Part(mesh, "it")], {"it": material}, camera)
     made = precompute(scene, dataclasses.replace(SETTINGS, receivers=receivers), folder)
     assert len(made.notes) == (receivers == "vertices" and isinstance(material, Material))
-    relighter = open_store(made.folder)
-    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
+    relighter = open_transport(made.folder)
+    return np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])

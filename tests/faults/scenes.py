@@ -322,7 +322,7 @@ WRONG: Mapping[str, tuple[int, str]] = {
     "render scene.toml -o folder.exr": (1, "folder.exr: is a folder"),
     "precompute scene.toml -o sky.exr": (1, "sky.exr: cannot be used as a store"),
     "relight folder.exr -o out.exr": (1, "folder.exr: not a store"),
-    "render scene.toml -o out.exr --import no_such_module": (1, "--import no_such_module: No module named"),
+    "render scene.toml -o out.exr --import no_such_module": (1, "'no_such_module' cannot be imported"),
     "render scene.toml -o out.exr --photons 8": (2, "--photons is a dial of --lighting indirect; this scene does"),
     "precompute scene.toml --lighting adaptive": (2, "--lighting adaptive precomputes nothing; render with it"),
     "render scene.toml": (2, "output"),

@@ -1,5 +1,7 @@
 """Four methods by one contract: all parts are pytrees, rays and plans are traced apart, gradients, like pictures."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,7 +149,7 @@ class Bright:
 
     def __init__(self, relighter, view, shape):
         self._relighter, self._view = relighter, view
-        self.weights = np.random.default_rng(3).uniform(size=shape).astype(np.float32)
+        self.weights = np.asarray(np.random.default_rng(3).uniform(size=shape), np.float32)
 
     def __call__(self, numbers, traced):
         lit = self._relighter.light([jr.Environment(*numbers[:3]), Point(*numbers[3:])])
@@ -185,10 +187,10 @@ def test_gradients_inside_of_jit(relighter, traced_once):
         way, number = np.asarray(along, np.float32), bright.names.index(of)
         ends = []
         for by in (step, -step):
-            moved = list(numbers)
+            moved: list[Any] = list(numbers)
             moved[number] = numbers[number] + np.float32(by) * way
             ends.append(float(compiled(tuple(moved), traced)[0]))
-        assert float(np.vdot(slope[of], way)) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=0.03)
+        assert float(np.vdot({**slope}[of], way)) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=0.03)
 
 
 @pytest.mark.slow

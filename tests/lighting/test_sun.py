@@ -8,11 +8,10 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Part, Scene
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
-from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
+from tests.opening import open_transport
 
 SETTINGS = Transport("vertices", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
 
@@ -54,7 +53,7 @@ def _terms(relighter: TransportRelighter, sky: jr.Environment) -> np.ndarray:
 def test_a_sun_adds_no_error(tmp_path, change):
     """Nothing of a sun alone is left out; beside a sky, what is left out is of the sky."""
     made = precompute(_scene(), dataclasses.replace(SETTINGS, **change), tmp_path)
-    relighter = open_store(made.folder)
+    relighter = open_transport(made.folder)
     exact = relighter.exact()
     alone = jr.environment(np.where(_sky(1e5).pixels > 2, _sky(1e5).pixels, 0))
     wanted = _terms(exact, alone)
@@ -76,7 +75,7 @@ def test_a_sun_bounces(tmp_path):
     pictures = []
     for bounces in (0, 1):
         made = precompute(_scene("paper"), dataclasses.replace(settings, bounces=bounces), tmp_path)
-        relighter = TransportRelighter(load(made.folder, made.header, made.geometry))
+        relighter = open_transport(made.folder)
         sky = _sky(1e3)
         vector = relighter.light_vector(sky.pixels, sky.rotate_y, sky.scale)
         view = relighter.view()

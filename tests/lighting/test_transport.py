@@ -1,6 +1,7 @@
 """From light to picture: linearity, the white furnace, rotation and what lies behind the surfaces."""
 
 import dataclasses
+from typing import Literal
 
 import jax
 import numpy as np
@@ -10,11 +11,11 @@ import jaxrelight as jr
 from jaxrelight import Part, Scene
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter, TransportView
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport.compression import padded_receivers
+from tests.opening import open_transport
 
 SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
 
@@ -47,7 +48,7 @@ def relighter(request, tmp_path_factory) -> TransportRelighter:
         Transport(request.param, resolution=8, terms=2, coefficients=48, factor_resolution=12),
         folder,
     )
-    return open_store(folder)
+    return open_transport(folder)
 
 
 def _relative(found, wanted) -> float:
@@ -146,7 +147,7 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
     settings = Transport("vertices", resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients)
     precompute(scene, settings, tmp_path)
-    relighter = open_store(tmp_path)
+    relighter = open_transport(tmp_path)
     assert any(block.emitted is not None for block in relighter.transport.blocks)
     skies = [jr.environment(SKY), jr.environment(SKY, rotate_y=70)]
     many = relighter.light_many(skies)
@@ -171,12 +172,12 @@ def test_light_may_be_traced_first(relighter: TransportRelighter):
     ids=["ball", "box"],
 )
 @pytest.mark.parametrize("radiance", [1.0, 1e5])
-def test_white_furnace(tmp_path, receivers: str, mesh, radiance: float):
+def test_white_furnace(tmp_path, receivers: Literal["vertices", "pixels"], mesh, radiance: float):
     """A white convex object under constant light cannot be told from its surroundings."""
     camera = jr.Camera((0.9, 1.1, 1.6), (0, 0, 0), fov_y=40, width=24, height=24)
     scene = Scene([Part(mesh, "white")], {"white": jr.lambert(1.0)}, camera)
     precompute(scene, Transport(receivers, resolution=32, coefficients="all"), tmp_path)
-    relighter = open_store(tmp_path)
+    relighter = open_transport(tmp_path)
     view = relighter.view()
     image = _picture(relighter, jr.environment(np.full((8, 16, 3), radiance)), view)
     assert 150 < np.asarray(view.surfaces.covered).sum() < 450
@@ -188,7 +189,7 @@ def test_albedo_is_the_radiance_in_the_furnace(tmp_path):
     camera = jr.Camera((0, 0.3, 2), (0, 0, 0), fov_y=40, width=16, height=12)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert([0.3, 0.5, 1.0])}, camera)
     precompute(scene, Transport("pixels", resolution=8, coefficients=256), tmp_path)
-    relighter = open_store(tmp_path)
+    relighter = open_transport(tmp_path)
     image = relighter.picture(jr.environment(np.ones((8, 16, 3))))
     seen = image[image[..., 3] == 1][:, :3]
     np.testing.assert_allclose(seen, np.broadcast_to([0.3, 0.5, 1.0], seen.shape), rtol=0.01)
@@ -215,7 +216,7 @@ def test_light_from_one_side_falls_on_that_side(tmp_path):
     camera = jr.Camera((2, 1, -2), (0, 0, 0), fov_y=40, width=16, height=16)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert(0.5)}, camera)
     precompute(scene, Transport("vertices", resolution=8, coefficients=256), tmp_path)
-    relighter = open_store(tmp_path)
+    relighter = open_transport(tmp_path)
     normals = jr.box((1, 1, 1), 1).normals
     slots = relighter.transport.receivers.slot_of
     for degrees, direction in ((0, (1, 0, 0)), (90, (0, 0, -1)), (180, (-1, 0, 0)), (270, (0, 0, 1))):
@@ -243,7 +244,7 @@ def test_turning_the_sky_is_turning_the_scene_back(tmp_path):
         ("scene", dataclasses.replace(scene, camera=camera, parts=parts), 0.0),
     ):
         precompute(placed, settings, tmp_path / name)
-        relighter = open_store(tmp_path / name)
+        relighter = open_transport(tmp_path / name)
         images.append(relighter.picture(jr.environment(SKY, rotate_y=degrees)))
     assert images[0][..., 3].mean() > 0.3
     # Rays that graze an edge may fall on either side of it: a texel of 1,536 in a receiver is 0.1 % of its light.

@@ -8,10 +8,10 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import InputError, Part, Scene
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter, TransportView
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
+from tests.opening import open_transport
 
 SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(4, 8, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=14, height=12)
@@ -29,14 +29,14 @@ def scene() -> Scene:
 def free(scene, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("vertices")
     precompute(scene, Transport("vertices", resolution=8, coefficients=48), folder)
-    return open_store(folder)
+    return open_transport(folder)
 
 
 @pytest.fixture(scope="module")
 def fixed(scene, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("pixels")
     precompute(scene, Transport("pixels", resolution=8, coefficients=48), folder)
-    return open_store(folder)
+    return open_transport(folder)
 
 
 def _shown(view: TransportView) -> np.ndarray:

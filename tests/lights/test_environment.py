@@ -21,9 +21,9 @@ def sky(height: int = 8, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(0.1, 1, size=(height, 2 * height, 3)).astype(np.float32)
 
 
-def energy(pixels: np.ndarray) -> np.ndarray:
+def energy(pixels) -> np.ndarray:
     """∫ L dω of every channel in float64."""
-    return np.einsum("hwc,h->c", pixels.astype(float), latlong.solid_angles(*pixels.shape[:2]))
+    return np.einsum("hwc,h->c", np.asarray(pixels, float), latlong.solid_angles(*pixels.shape[:2]))
 
 
 def test_good_pixels_are_kept_as_they_are():
@@ -39,7 +39,7 @@ def test_good_pixels_are_kept_as_they_are():
 
 def test_whole_numbers_are_no_other_kind_of_environment():
     """Nothing is compiled anew for them; arrays stay as they are."""
-    whole, real = environment(sky(), 30, 2), environment(sky(), 30.0, np.float32(2))
+    whole, real = environment(sky(), 30, 2), environment(sky(), 30.0, float(np.float32(2)))
     assert jax.tree.map(type, whole) == jax.tree.map(type, real)
     turned = real.with_(rotate_y=jax.numpy.asarray(40.0))
     assert isinstance(turned.rotate_y, jax.Array)

@@ -14,10 +14,13 @@ import jaxrelight as jr
 from jaxrelight import InputError
 from jaxrelight.lights.local import point
 from jaxrelight.precomputation import placing
+from jaxrelight.precomputation.load import load
+from jaxrelight.precomputation.precompute import precompute
+from jaxrelight.transport.model import PrecomputedIndirect
 from tests.precomputation.own_classes import Ggx, Striped
 
 OMEGA: Any = np.asarray([0.6, 0, 0.8], np.float32)
-SETTINGS = jr.Settings("pixels", gather_samples=64, bounces=1)
+METHOD = jr.Indirect(gather_samples=64, bounces=1)
 MODULE = Ggx.__module__
 
 
@@ -33,7 +36,7 @@ def made(tmp_path_factory) -> tuple[pathlib.Path, Ggx, Striped]:
     skin = Ggx("red", 0.4)
     light = Striped(point([0, 1, 0], [1, 2, 3]), jax.device_put(np.float32(0.3)), 0)
     folder = tmp_path_factory.mktemp("own") / "store"
-    jr.precompute(scene(skin, light), SETTINGS, folder)
+    precompute(scene(skin, light), METHOD, folder)
     return folder, skin, light
 
 
@@ -44,8 +47,9 @@ def equal(one, other) -> bool:
 
 def test_a_store_of_own_classes_opens_in_the_same_process(made):
     folder, skin, light = made
-    opened = jr.load(folder)
-    (block,), (lamp,) = opened.blocks, opened.lights
+    opened = load(folder)
+    assert isinstance(opened, PrecomputedIndirect)
+    (block,), (lamp,) = opened.transport.blocks, opened.stored.lights().local
     assert type(block.brdf) is Ggx
     assert type(lamp) is Striped
     assert equal(block.brdf, skin)
@@ -58,15 +62,18 @@ OPEN = f"""
 import sys
 import jaxrelight as jr
 from jaxrelight.brdf.record import import_classes
+from jaxrelight.precomputation.load import load
 try:
-    jr.load(sys.argv[1])
+    load(sys.argv[1])
 except jr.InputError as error:
     print(error)
 assert "{MODULE}" not in sys.modules
 import_classes("{MODULE}")
-opened = jr.load(sys.argv[1])
-print(opened.blocks[0].brdf.evaluate(*[sys.modules["numpy"].asarray({OMEGA.tolist()}, "float32")] * 2).tolist())
-print(type(opened.lights[0]).__name__, opened.lights[0].lamp.intensity.tolist())
+opened = load(sys.argv[1])
+omega = sys.modules["numpy"].asarray({OMEGA.tolist()}, "float32")
+print(opened.transport.blocks[0].brdf.evaluate(omega, omega).tolist())
+(light,) = opened.stored.lights().local
+print(type(light).__name__, light.lamp.intensity.tolist())
 """
 
 
@@ -95,7 +102,7 @@ def test_what_no_store_can_hold_is_refused_before_a_ray_is_traced(of, monkeypatc
     given = (skin, point([0, 1, 0], 1)) if of == "material" else (jr.lambert(0.5), light)
     what = "material 'skin' is of the class 'Ggx'" if of == "material" else "light 1 is of the class 'Striped'"
     with pytest.raises(InputError, match=f"{what}, which a store cannot hold: its field '.*' holds a function; fields"):
-        jr.precompute(scene(*given), SETTINGS, tmp_path)
+        precompute(scene(*given), METHOD, tmp_path)
 
 
 def test_a_class_that_has_changed_since_is_told(made, monkeypatch):
@@ -103,4 +110,4 @@ def test_a_class_that_has_changed_since_is_told(made, monkeypatch):
     fields = {"diffuse": None, "power": None}
     monkeypatch.setattr(Ggx, "__dataclass_fields__", {name: Ggx.__dataclass_fields__[name] for name in fields})
     with pytest.raises(InputError, match=r"has the fields diffuse, power, and had diffuse, f0, .* when it was stored"):
-        jr.load(folder)
+        load(folder)

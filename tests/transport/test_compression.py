@@ -151,7 +151,7 @@ def test_groups_that_no_light_reaches_hold_nothing(tmp_path):
     assert not black.buckets
     # Where each column is held, and nothing else.
     assert black.nbytes <= 4 * (6 * 8**2 + 8) < lit.nbytes
-    np.testing.assert_array_equal(black.apply(np.ones((6 * 8**2, 3), np.float32)), 0)
+    np.testing.assert_array_equal(black.apply(jax.device_put(np.ones((6 * 8**2, 3), np.float32))), 0)
 
 
 @pytest.mark.parametrize("coefficients", [pytest.param(64, marks=pytest.mark.slow), "shared"])

@@ -1,14 +1,17 @@
 """Fitted materials from a scene file to a picture."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxrelight as jr
+from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.files.fitted import write_factors, write_lobes
 from jaxrelight.brdf.lobes import lobe, lobe_sum
-from jaxrelight.brdf.separable import separable
+from jaxrelight.brdf.separable import Separable, separable
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
@@ -45,7 +48,7 @@ def _scene(folder, kind: str, more: str = "") -> jr.Scene:
     return jr.load_scene(folder / "scene.toml")
 
 
-def _method(receivers: str) -> Transport:
+def _method(receivers: Any) -> Transport:
     return Transport(receivers, resolution=8, coefficients="all", terms=2, factor_resolution=6)
 
 
@@ -72,6 +75,7 @@ def test_lobes_are_those_of_the_file(tmp_path, receivers):
 def test_vertices_take_given_factors_as_they_are(tmp_path, factors):
     """Whatever number and resolution the method asks of others."""
     (block,) = _relighter(_scene(tmp_path, "npz"), "vertices", tmp_path / "store").transport.blocks
+    assert isinstance(block.reflection, Factored)
     assert block.reflection.terms == 5
     np.testing.assert_array_equal(block.reflection.light_maps, factors.light_maps)
     np.testing.assert_array_equal(block.reflection.view_maps, factors.view_maps)
@@ -85,6 +89,7 @@ def test_vertices_and_pixels_show_the_same_material(tmp_path, factors):
     }
     np.testing.assert_allclose(pictures["vertices"], pictures["pixels"], rtol=1e-4, atol=1e-6)
     (block,) = _relighter(_scene(tmp_path, "npz"), "pixels", tmp_path / "pixels").transport.blocks
+    assert isinstance(block.brdf, Separable)
     omega_i, omega_o = jnp.asarray([0.6, 0, 0.8]), jnp.asarray([-0.48, 0.36, 0.8])
     np.testing.assert_array_equal(block.brdf.evaluate(omega_i, omega_o), factors.evaluate(omega_i, omega_o))
 

@@ -1,6 +1,7 @@
 """Measured materials from a scene file to a picture: exact at pixels, by factors at vertices, kept by the store."""
 
 import json
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.brdf.files import load_brdf
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.tabulated import Tabulated
 from jaxrelight.files import store
 from jaxrelight.lighting.transport import TransportRelighter
@@ -42,7 +44,7 @@ def scene(tmp_path) -> jr.Scene:
     return jr.load_scene(tmp_path / "scene.toml")
 
 
-def _method(receivers: str) -> Transport:
+def _method(receivers: Any) -> Transport:
     return Transport(receivers, resolution=8, coefficients="all", terms=12, factor_resolution=12)
 
 
@@ -53,6 +55,7 @@ def _radiance(relighter: TransportRelighter) -> np.ndarray:
 def test_pixels_are_lit_by_the_brdf_of_the_file_itself(tmp_path, scene):
     relighter = open_transport(precompute(scene, _method("pixels"), tmp_path / "store").folder)
     (block,) = relighter.transport.blocks
+    assert not isinstance(block.brdf, SpatialLobes)
     brdf = load_brdf(tmp_path / "paint.bsdf").brdf
     omega_i, omega_o = jnp.asarray([0.6, 0, 0.8]), jnp.asarray([-0.48, 0.36, 0.8])
     np.testing.assert_array_equal(block.brdf.evaluate(omega_i, omega_o), brdf.evaluate(omega_i, omega_o))

@@ -218,12 +218,12 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             plan = None if lit.pyramid is None else self.plan(lit, view, report=report)
             traced = AdaptiveTraced(plan, None, self._visibility(lit, view))
         surfaces, plan = view.surfaces, traced.plan
-        under, measured = None, {}
+        under = None
         if plan is not None and lit.pyramid is not None:
-            under, measured = self._by_samples(lit.pyramid, view, plan, traced.work, report), {"plan": plan}
+            under = self._by_samples(lit.pyramid, view, plan, traced.work, report)
         direct = shade_lights(self.materials, surfaces, lit.groups, traced.visibility)
         image = image_of((under, direct, surfaces.emission(self.materials)), surfaces.covered, view.factor)
-        return dataclasses.replace(image, measured=measured)
+        return dataclasses.replace(image, measured={"plan": plan}) if under is not None else image
 
     def background(self, lit: AdaptiveLight, view: AdaptiveView) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""
