@@ -14,6 +14,7 @@ The public names, each loaded when it is first used:
     images      read_image, write_image, tone_map, image_error
     speed       keep_compilations
     errors      InputError
+    version     __version__
 """
 
 import importlib

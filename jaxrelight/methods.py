@@ -4,8 +4,12 @@ Each dial is documented here alone. Python, the command line, `--json` and the g
 heavy is imported, so that `--help` stays quick.
 """
 
+import ast
 import dataclasses
+import functools
+import inspect
 import math
+from collections.abc import Callable
 from typing import ClassVar, Literal
 
 from jaxrelight.errors import InputError
@@ -101,6 +105,7 @@ class Transport(Method):
         check_choice("visibility samples", self.visibility_samples, (1, 4, 9, 16, 25))
         require(self.gather_resolution % 2 == 0, f"gather resolution is {self.gather_resolution}; it must be even")
         check_choice("gather", self.gather, ("barycentric", "nearest"))
+        check_choice("split sun", self.split_sun, (True, False))
         _check_compression(self, ("shared", "all"), 6 * n * n)
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
@@ -181,10 +186,12 @@ class Indirect(Method):
             ("seed", 0, math.inf),
         ):
             check_whole(name, getattr(self, name), low, high)
+        check_choice("sky", self.sky, (True, False))
         require(not (self.photons and self.sky), "photons do not come from the sky; leave them, or the sky, out")
-        require(0 <= self.solid_angle < 10, f"solid angle is {self.solid_angle}; it must be from 0 to 10")
-        require(0 < self.peak <= 1, f"peak is {self.peak}; it must be above 0, up to 1, which splits nothing")
+        check_number("solid angle", self.solid_angle, lambda x: 0 <= x < 10, "at least 0, and below 10")
+        check_number("peak", self.peak, lambda x: 0 < x <= 1, "above 0, up to 1, which splits nothing")
         check_choice("near", self.near, ("disc", "clamp"))
+        check_choice("importance", self.importance, (True, False))
         require(
             self.coefficients != "all", "coefficients are 'all'; under Indirect, a compression tolerance of 0 keeps all"
         )
@@ -221,6 +228,7 @@ class Prefiltered(Method):
     """Rows of the finest filtered map; a power of two from 32. Sharper reflections need more."""
 
     def __post_init__(self):
+        check_choice("shadows", self.shadows, (True, False))
         check_choice("texels", self.texels, ("parameters", "reflectance"))
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
         check_choice("horizon", self.horizon, ("cut", "outside"))
@@ -266,11 +274,12 @@ class Adaptive(Method):
             "samples are a budget and tolerance is a quality; give one of both",
         )
         for name in ("samples", "tolerance"):
-            value = getattr(self, name)
-            require(value is None or 0 < value < math.inf, f"{name} is {value}; it must be above 0, and finite")
+            if getattr(self, name) is not None:
+                check_number(name, getattr(self, name), lambda x: 0 < x < math.inf, "above 0, and finite")
         check_choice("antialiasing", self.antialiasing, (1, 4, 16))
+        check_choice("shadows", self.shadows, (True, False))
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
-        require(math.isfinite(self.exposure), f"exposure is {self.exposure}; it must be finite")
+        check_number("exposure", self.exposure, math.isfinite, "finite")
         check_whole("seed", self.seed, 0, math.inf)
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
@@ -288,6 +297,19 @@ METHODS: dict[str, type[Method]] = {
 }
 
 
+@functools.cache
+def documentation(kind: type) -> dict[str, str]:
+    """What each field of a dataclass is for: the texts under the fields of its class, on one line each."""
+    (body,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(body, ast.ClassDef)
+    texts = {}
+    for field, text in zip(body.body, body.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            assert isinstance(field.target, ast.Name)
+            texts[field.target.id] = " ".join(str(text.value.value).split())
+    return texts
+
+
 def require(holds: bool, message: str):
     """Raises an `InputError` unless something holds."""
     if not holds:
@@ -295,36 +317,35 @@ def require(holds: bool, message: str):
 
 
 def check_choice(name: str, value: object, choices: tuple):
-    """Refuses a value that is none of the choices."""
+    """Refuses a value that is none of the choices, or of another type."""
     *others, last = (repr(choice) for choice in choices)
-    is_plural = name.endswith("s")
-    require(
-        value in choices and not isinstance(value, bool),
-        f"{name} {'are' if is_plural else 'is'} {value!r}; {'they' if is_plural else 'it'} must be "
-        f"{', '.join(others)} or {last}",
-    )
+    is_one = any(type(value) is type(choice) and value == choice for choice in choices)
+    require(is_one, f"{_told(name, value)} {', '.join(others)} or {last}")
+
+
+def check_number(name: str, value: object, is_within: Callable[[float], bool], limits: str):
+    """Refuses what is no number, or lies outside its limits."""
+    is_good = isinstance(value, int | float) and not isinstance(value, bool) and is_within(value)
+    require(is_good, f"{_told(name, value)} {limits}")
 
 
 def check_whole(dial: str, value: object, low: float, high: float):
     """Refuses what is no whole number within a range."""
     name = dial.replace("_", " ")
-    is_plural = name.endswith("s") and name != "bits"
+    kind = "whole numbers" if name.endswith("s") else "a whole number"
     limits = f"from {low:,}" + (f" to {high:,}" if high < math.inf else "")
-    require(
-        type(value) is int and low <= value <= high,
-        f"{name} {'are' if is_plural else 'is'} {value!r}; {'they' if is_plural else 'it'} must be "
-        f"{'whole numbers' if is_plural else 'a whole number'} {limits}",
-    )
+    require(type(value) is int and low <= value <= high, f"{_told(name, value)} {kind} {limits}")
+
+
+def _told(name: str, value: object) -> str:
+    """The beginning of what is said of a dial that must be something else."""
+    return f"{name} {'are' if name.endswith('s') else 'is'} {value!r}; {'they' if name.endswith('s') else 'it'} must be"
 
 
 def _check_compression(method: "Transport | Indirect", words: tuple[str, ...], most: int):
     """The dials that compressed rows have under both methods."""
-    tolerance = method.compression_tolerance
-    is_number = isinstance(tolerance, (int, float)) and not isinstance(tolerance, bool)
-    require(
-        is_number and 0 <= tolerance < 1,
-        f"compression tolerance is {tolerance!r}; it must be at least 0, which leaves nothing out, and below 1",
-    )
+    tolerance, limits = method.compression_tolerance, "at least 0, which leaves nothing out, and below 1"
+    check_number("compression tolerance", tolerance, lambda x: 0 <= x < 1, limits)
     check_choice("bits", method.bits, (8, 16, 32))
     count = method.coefficients
     choices = " or ".join(f"'{word}'" for word in words)

@@ -11,13 +11,14 @@
 # # Move a lamp in a room, then ask the picture where it was
 #
 # The room is made by code. What its surfaces pass on to each other is precomputed once, for one camera; afterwards a
-# lamp may stand anywhere, and its light bounces three times before it is seen. Run it as a script, or open it as a
-# notebook with jupytext.
+# lamp may stand anywhere, and its light is reflected up to three times before it reaches the surface that is seen. Run
+# it as a script, or open it as a notebook with jupytext.
 
 # %%
 import dataclasses
 import pathlib
 import tempfile
+import time
 
 import jax
 import jax.numpy as jnp
@@ -25,11 +26,6 @@ import numpy as np
 import scipy.optimize
 
 import jaxrelight as jr
-from jaxrelight.lighting.indirect import IndirectRelighter
-from jaxrelight.lighting.light_layers import LightLayers
-from jaxrelight.lights.local import point, spot
-from jaxrelight.precomputation.load import load
-from jaxrelight.precomputation.precompute import precompute
 
 
 def moved(mesh, x, y, z):
@@ -66,26 +62,28 @@ materials = {
 camera = jr.Camera((0, 1.2, 4.2), (0, 1.1, 0), fov_y=38.0, width=240, height=160)
 scene = jr.Scene(parts, materials, camera, name="room")
 folder = pathlib.Path(tempfile.mkdtemp())
-made = precompute(scene, jr.Indirect(gather_samples=4096, bounces=3), folder / "store")
-print(f"{made.rays:,} rays, {sum(made.seconds.values()):.1f} s")
+start = time.perf_counter()
+relighter = jr.prepare(scene, jr.Indirect(gather_samples=4096, bounces=3), folder / "store")
+print(f"precomputed in {time.perf_counter() - start:.1f} s")
 
 # %% [markdown]
 # ## Lamps anywhere
 #
-# Each picture is one call: shadow rays, light of the points that stand for all surfaces, what they pass on to each
-# other, and what the pixels get of it.
+# `light` casts shadow rays to the points that stand for all surfaces, and adds what these pass on to each other.
+# `shade` adds direct light to what the pixels get of it. Without bounces, direct light alone is left.
 
 # %%
-relighter = IndirectRelighter(load(made.folder))
-lamp = point([-1.2, 1.9, 0.2], [3.0, 2.7, 2.2])
-behind = point([-1.5, 0.5, -1.5], [3.0, 2.7, 2.2])
-upwards = spot([1.4, 0.3, 0.8], [1.6, 2.4, -0.4], [9.0, 8.0, 6.5], 30.0)
-pictures = [relighter.image([lamp], bounces=0), *(relighter.image([one]) for one in (lamp, behind, upwards))]
-strip = np.concatenate(pictures, axis=1)
+view = relighter.view()
+lamp = jr.point([-1.2, 1.9, 0.2], [3.0, 2.7, 2.2])
+behind = jr.point([-1.5, 0.5, -1.5], [3.0, 2.7, 2.2])
+upwards = jr.spot([1.4, 0.3, 0.8], [1.6, 2.4, -0.4], [9.0, 8.0, 6.5], 30.0)
+direct = relighter.shade(relighter.light(lamp, bounces=0), view)
+pictures = [relighter.shade(relighter.light(one), view) for one in (lamp, behind, upwards)]
+strip = np.concatenate([image.rgba() for image in (direct, *pictures)], axis=1)
 jr.write_image(folder / "moving_lights.png", strip, exposure=0.5)
 print("picture", folder / "moving_lights.png", strip.shape)
-indirect = [1 - float(pictures[0][..., :3].sum() / pictures[1][..., :3].sum())]
-print(f"of the first lamp's picture, {indirect[0]:.0%} is indirect light")
+indirect = 1 - float(direct.radiance.sum() / pictures[0].radiance.sum())
+print(f"of the first lamp's picture, {indirect:.0%} is indirect light")
 
 # %% [markdown]
 # ## Colours and strengths are a sum
@@ -93,9 +91,9 @@ print(f"of the first lamp's picture, {indirect[0]:.0%} is indirect light")
 # A picture of each light is kept. One that moves is computed; tints, dimmers and switches compute none.
 
 # %%
-layers = LightLayers(relighter, [lamp, upwards])
+layers = jr.LightLayers(relighter, [lamp, upwards])
 evening = layers.picture([[1.0, 0.7, 0.4], 0.2])
-layers.move(1, spot([1.4, 0.3, 0.8], [0.0, 2.4, -1.0], [9.0, 8.0, 6.5], 30.0))
+layers.move(1, jr.spot([1.4, 0.3, 0.8], [0.0, 2.4, -1.0], [9.0, 8.0, 6.5], 30.0))
 print("mean radiance, tinted", np.asarray(evening.mean(axis=(0, 1))), "moved", np.asarray(layers.picture().mean()))
 
 # %% [markdown]
@@ -105,12 +103,12 @@ print("mean radiance, tinted", np.asarray(evening.mean(axis=(0, 1))), "moved", n
 # shadows are traced anew at each step.
 
 # %%
-seen = relighter.picture([lamp])
+seen = pictures[0].radiance
 
 
 def difference(place):
     """Squared difference of the two pictures, relative to the one that was seen."""
-    found = relighter.picture([dataclasses.replace(lamp, position=place)])
+    found = relighter.shade(relighter.light(dataclasses.replace(lamp, position=place)), view).radiance
     # By root: highlights and what is near the lamp would be all that counts.
     return jnp.sum((jnp.sqrt(found + 1e-4) - jnp.sqrt(seen + 1e-4)) ** 2) / jnp.sum(seen)
 

@@ -25,9 +25,6 @@ import numpy as np
 
 import jaxrelight as jr
 from jaxrelight.images.false_colour import false_colour
-from jaxrelight.lighting.adaptive.shader import AdaptiveShader
-from jaxrelight.lighting.prefiltered import look_at
-from jaxrelight.lights.pyramid import light_pyramid
 
 folder = pathlib.Path(tempfile.mkdtemp())
 camera = jr.Camera((0, 1.0, 3.2), (0, 0.05, 0), fov_y=36.0, width=320, height=200)
@@ -71,32 +68,31 @@ blue = np.array([0.25, 0.45, 0.9]) * (0.4 + 0.6 * v[..., None]) + 0.5 * np.exp(-
 cloud = np.clip(np.sin(40 * u + 3 * np.sin(17 * v)) * np.sin(30 * v) - 0.3, 0, 1)[..., None]
 pixels = np.where(v[..., None] < 0.5, blue + 1.6 * cloud, 0.06)
 pixels[70:72, 200:202] = 4e3
-sky = light_pyramid(jr.environment(pixels.astype(np.float32)))
+sky = jr.environment(pixels.astype(np.float32))
 
 # %% [markdown]
 # ## Frame after frame
 #
-# What is compiled for the first frame is used for all others, and so are the tables that draw directions for each
-# material.
+# `prepare` has nothing to precompute: it is called for every frame. `trace` plans where to shade and by how many
+# samples, and casts their shadow rays; `shade` lights them. What is compiled for the first frame serves all others.
 
 # %%
-frames, maps, parts = [], [], None
+frames, maps = [], []
 for number in range(6):
     start = time.perf_counter()
-    scene = scene_at(0.35 * number)
-    shader = AdaptiveShader(look_at(scene), camera, parts)
-    parts = shader.parts
-    traced = time.perf_counter()
-    plan = shader.plan(sky, tolerance=0.015, shadows=True)
+    relighter = jr.prepare(scene_at(0.35 * number), jr.Adaptive(tolerance=0.015))
+    view, lit = relighter.view(), relighter.light(sky)
+    viewed = time.perf_counter()
+    traced = relighter.trace(lit, view)
     planned = time.perf_counter()
-    frames.append(np.asarray(jax.block_until_ready(shader.shade(plan, sky))))
+    frames.append(np.asarray(jax.block_until_ready(relighter.shade(lit, view, traced).radiance)))
     done = time.perf_counter()
-    covered = shader.seen.covered
+    plan, covered = traced.plan, np.asarray(view.surfaces.covered)
     maps.append(false_colour(plan.maps()["samples"], covered, octaves=True)[0][..., :3])
     print(
         f"frame {number}: {plan.samples / covered.sum():.0f} samples a pixel, "
         f"{plan.shaded / covered.sum():.0%} shaded; "
-        f"view {traced - start:.2f} s, plan {planned - traced:.2f} s, shade {done - planned:.2f} s"
+        f"view {viewed - start:.2f} s, trace {planned - viewed:.2f} s, shade {done - planned:.2f} s"
     )
 
 # %% [markdown]
@@ -109,10 +105,12 @@ jr.write_image(folder / "moving_surfaces.png", strip)
 print("picture", folder / "moving_surfaces.png", strip.shape)
 
 # %% [markdown]
-# Against 512 samples in every pixel, the last frame:
+# Against 512 samples in every pixel, the last frame. The sun, which shadow rays light in every pixel, is the same in
+# both.
 
 # %%
-even = np.asarray(shader.uniform(sky, 512, 7, shadows=True))
+sun = frames[-1] - relighter.shade_plan(lit, view, plan)
+even = np.asarray(relighter.shade_uniform(lit, view, 512) + sun)
 wanted, found = (np.clip(x[covered], 0, 1) ** (1 / 2.2) for x in (even, frames[-1]))
 error = np.sqrt(np.mean((wanted - found) ** 2))
 print(f"error of displayed values {error:.4f}")

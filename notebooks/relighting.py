@@ -10,42 +10,45 @@
 # %% [markdown]
 # # Relight a scene, then ask the picture where the sun was
 #
-# The scene and the sky are made by code. Precomputation runs once; afterwards light is one sparse product, and the
-# picture is differentiable in the light. Run it as a script, or open it as a notebook with jupytext.
+# The scene and the sky are made by code. Transport is precomputed once; afterwards a change of light is one product
+# with a compressed operator, and the picture is differentiable in the light. Run it as a script, or open it as a
+# notebook with jupytext.
 
 # %%
-import dataclasses
 import pathlib
 import tempfile
+import time
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxrelight as jr
-from jaxrelight.lighting.transport import TransportRelighter
-from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
-from jaxrelight.transport.rebake import exact
 
 scene = demo_scene(detail=0.5, size=120)
 folder = pathlib.Path(tempfile.mkdtemp())
-made = precompute(scene, jr.Transport("vertices", resolution=16, terms=4, coefficients=96), folder / "store")
-print(f"{made.receivers:,} receivers, {made.rays:,} rays, {sum(made.seconds.values()):.1f} s")
+start = time.perf_counter()
+method = jr.Transport("vertices", resolution=16, terms=4, coefficients=96)
+relighter = jr.prepare(scene, method, folder / "store")
+print(f"{relighter.transport.receivers.count:,} receivers, {time.perf_counter() - start:.1f} s")
 
 # %% [markdown]
 # ## Light and view are apart
 #
-# `light` is paid when the light changes, `shade` when the view does.
+# `view` is paid when the camera moves, `light` when the light changes, and `shade` for both. The store can be opened
+# again at any time.
 
 # %%
-relighter = jr.open_store(made.folder)
+relighter = jr.open_store(folder / "store")
 view = relighter.view()
-sky = scene.environment
-turned = dataclasses.replace(sky, rotate_y=40.0)
-image = relighter.image(turned, view)
-jr.write_image(folder / "turned.png", image)
-print("picture", folder / "turned.png", image.shape)
+sky = scene.lights.environment
+turned = sky.with_(rotate_y=40.0)
+lit = relighter.light(turned)
+image = relighter.shade(lit, view)
+picture = image.rgba(relighter.background(lit, view))
+jr.write_image(folder / "turned.png", picture)
+print("picture", folder / "turned.png", picture.shape)
 
 # %% [markdown]
 # ## What compression costs
@@ -53,8 +56,8 @@ print("picture", folder / "turned.png", image.shape)
 # `exact` bakes whole rows from the stored visibility at each use: the reference for the kept coefficients.
 
 # %%
-reference = TransportRelighter(exact(relighter.transport)).image(turned, view)
-print("96 of 1,536 coefficients against all:", jr.image_error(image, reference))
+reference = relighter.exact().picture(turned)
+print("96 of 1,536 coefficients against all:", jr.image_error(picture, reference))
 
 # %% [markdown]
 # ## Where was the sun?
@@ -63,13 +66,12 @@ print("96 of 1,536 coefficients against all:", jr.image_error(image, reference))
 # resampling, wavelets, the operator and the view.
 
 # %%
-pixels = jnp.asarray(sky.pixels)
-seen = jnp.asarray(image[..., :3] * view.covered[..., None])
+seen = image.radiance
 
 
 def difference(degrees):
     """Squared difference of the two pictures, relative to the one that was seen."""
-    radiance = relighter.shade(relighter.terms(relighter.light_vector(pixels, degrees)), view)
+    radiance = relighter.shade(relighter.light(sky.with_(rotate_y=degrees)), view).radiance
     return jnp.sum((radiance - seen) ** 2) / jnp.sum(seen**2)
 
 

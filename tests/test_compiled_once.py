@@ -3,6 +3,7 @@
 import functools
 import pathlib
 import re
+import tempfile
 from collections.abc import Callable
 from typing import Any
 
@@ -32,10 +33,12 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.sampling import CellSampler, directional_albedo
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import factor_spatial
-from jaxrelight.lighting.prefiltered import look_at
+from jaxrelight.lighting.indirect import IndirectRelighter
+from jaxrelight.lighting.prefiltered import PrefilteredRelighter
+from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.lights.environment import encode
-from jaxrelight.lights.local import point
-from jaxrelight.lights.prefiltered import prefilter
+from jaxrelight.lights.lights import LightsLike
+from jaxrelight.lights.sun import without_sun
 from jaxrelight.operators.clustered import Clustered, cluster, clustered
 from jaxrelight.operators.contract import as_lineax
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
@@ -83,10 +86,48 @@ def normals(seed: int):
     return estimated_normals(stack_of(values(seed, 6, 3, 3, 3), lights / np.linalg.norm(lights, axis=1, keepdims=True)))
 
 
-@functools.cache
-def seen(seed: int):
+def sky(seed: int) -> jr.Environment:
+    return jr.environment(values(seed, 8, 16, 3), 30.0 * seed, 1.0 + seed)
+
+
+def with_sun(seed: int):
+    pixels = values(seed, 8, 16, 3)
+    pixels[2, 5] = 1e4
+    return pixels
+
+
+def scene(seed: int) -> jr.Scene:
     camera = jr.Camera((0.2, 1.2, 3.0), (0, 0, 0), fov_y=40.0, width=12, height=10)
-    return look_at(jr.Scene([jr.Part(jr.sphere(1, 8), "skin")], {"skin": paint(seed)}, camera))
+    return jr.Scene([jr.Part(jr.sphere(1, 8), "skin")], {"skin": paint(seed)}, camera)
+
+
+@functools.cache
+def relighter(seed: int) -> PrefilteredRelighter:
+    found = jr.prepare(scene(seed), jr.Prefiltered(map_rows=32))
+    assert isinstance(found, PrefilteredRelighter)
+    return found
+
+
+@functools.cache
+def view(seed: int) -> VisibleSurfaces:
+    return relighter(seed).view()
+
+
+def shaded(seed: int, lights: LightsLike):
+    return relighter(seed).shade(relighter(seed).light(lights), view(seed))
+
+
+def background(seed: int):
+    return relighter(seed).background(relighter(seed).light(sky(seed)), view(seed))
+
+
+@functools.cache
+def gathering() -> IndirectRelighter:
+    method = jr.Indirect(gather_samples=64, bounces=1, direct_samples=1)
+    with tempfile.TemporaryDirectory() as folder:
+        found = jr.prepare(scene(0), method, folder)
+    assert isinstance(found, IndirectRelighter)
+    return found
 
 
 # By the file that loops. What is lit by a whole scene is counted in `lighting/test_compilations.py`.
@@ -108,11 +149,11 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     "fitting/sbrdf_levels": [level],
     "fitting/solve": [fit],
     "fitting/starts": [fit],
-    "lighting/prefiltered": [
-        lambda seed: seen(seed).under(prefilter(values(seed, 8, 16, 3)), 20.0 * seed, 1.0 + seed),
-        lambda seed: seen(seed).lit_by([point([seed, 3.0, 1], 2.0 + seed)]),
-        lambda seed: seen(seed).background(jr.environment(values(seed, 8, 16, 3), 30.0 * seed, 1.0 + seed)),
-    ],
+    "lighting/direct_light": [lambda seed: shaded(seed, jr.point([seed, 3.0, 1], 2.0 + seed))],
+    "lighting/indirect": [lambda seed: gathering().light(jr.point([seed, 3.0, 1], 2.0 + seed))],
+    "lighting/prefiltered": [lambda seed: shaded(seed, sky(seed)), background],
+    "lights/sky": [lambda seed: jr.sky_of(sky(seed), 16)],
+    "lights/sun": [lambda seed: without_sun(with_sun(seed))],
     "operators/clustered": [
         lambda seed: clusters(seed).apply(values(seed, 96, 3)),
         lambda seed: clusters(seed).apply_many(values(seed, 9, 96, 3)),
@@ -139,7 +180,7 @@ ELSEWHERE = {
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
 }
 # What takes seconds to compile the first time.
-DEAR = "fitting/factors", "fitting/sbrdf_levels"
+DEAR = "fitting/factors", "fitting/sbrdf_levels", "lighting/indirect"
 CASES = [
     pytest.param(file, number, marks=[pytest.mark.slow] * (file in DEAR))
     for file, of_file in FUNCTIONS.items()

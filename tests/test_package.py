@@ -3,6 +3,7 @@
 import ast
 import functools
 import graphlib
+import importlib.metadata
 import pathlib
 import re
 import subprocess
@@ -21,6 +22,8 @@ FOLDERS = (
     "methods",
     "compilation_cache",
     "command_line",
+    "progress",
+    "timing",
     "numerics",
     "files",
     "images",
@@ -38,37 +41,74 @@ FOLDERS = (
     "cli",
 )
 
+# Beside the version.
 PUBLIC = {
+    "Adaptive",
+    "Brdf",
     "Camera",
+    "Clustered",
+    "Component",
+    "Dense",
     "Environment",
+    "Image",
+    "Incident",
+    "Indirect",
     "InputError",
+    "Light",
+    "LightLayers",
+    "Lights",
+    "LobeSum",
+    "Material",
     "Mesh",
+    "Operator",
     "Part",
-    "TransportRelighter",
+    "Prefiltered",
+    "Punctual",
+    "Relighter",
     "Scene",
-    "Settings",
+    "SparseRows",
+    "Stacked",
+    "Texture",
+    "Transport",
+    "area",
+    "as_lineax",
     "ashikhmin_shirley",
     "box",
+    "constant",
+    "directional",
     "environment",
-    "exact",
+    "even_sky",
     "factor",
     "image_error",
     "keep_compilations",
     "lambert",
-    "load",
     "load_brdf",
     "load_environment",
+    "load_lights",
     "load_mesh",
     "load_scene",
     "lobe",
     "lobe_sum",
+    "normalized",
+    "open_store",
     "phong",
     "plane",
-    "precompute",
+    "point",
+    "prepare",
+    "projector",
     "read_image",
-    "rebake",
+    "scene_of_mesh",
+    "shaped",
+    "sharded",
+    "sky_of",
     "sphere",
+    "spot",
+    "subdivided",
+    "textured_lambert",
+    "textured_phong",
     "tone_map",
+    "transformed",
+    "with_back",
     "write_image",
 }
 
@@ -112,9 +152,15 @@ def _graph() -> dict[str, set[str]]:
 
 
 def test_public_names_are_those_documented():
-    assert set(jaxrelight.__all__) == PUBLIC == set(dir(jaxrelight))
+    """The package's page lists each of them once, behind the topic that it belongs to."""
+    assert set(jaxrelight.__all__) == {*PUBLIC, "__version__"} == set(dir(jaxrelight))
     assert jaxrelight.__doc__ is not None
-    assert set(re.findall(r"\w+", jaxrelight.__doc__)) >= PUBLIC
+    listed = [line[16:] for line in jaxrelight.__doc__.splitlines() if line.startswith("    ")]
+    assert sorted(re.findall(r"\w+", " ".join(listed))) == sorted(jaxrelight.__all__)
+
+
+def test_version_is_that_of_the_installed_package():
+    assert jaxrelight.__version__ == importlib.metadata.version("jaxrelight")
 
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))

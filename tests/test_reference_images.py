@@ -6,10 +6,7 @@ import pathlib
 import numpy as np
 import pytest
 
-from jaxrelight import image_error, load_scene, read_image
-from jaxrelight.lighting.prepare import open_store
-from jaxrelight.methods import Transport
-from jaxrelight.precomputation.precompute import precompute
+from jaxrelight import Transport, image_error, load_scene, prepare, read_image
 from tests.shared_data import shared
 
 
@@ -27,10 +24,8 @@ def _lit(name: str, resolution: int, shrink: int, folder: pathlib.Path):
         middle = slice(shrink // 2 - 1, shrink // 2 + 1)
         reference = blocks[:, middle, :, middle].mean(axis=(1, 3))
     scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=width, height=height))
-    precompute(scene, Transport("pixels", resolution=resolution, coefficients="all"), folder)
-    relighter = open_store(folder)
-    assert scene.environment is not None
-    return relighter.image(scene.environment, relighter.view()), reference
+    relighter = prepare(scene, Transport("pixels", resolution=resolution, coefficients="all"), folder)
+    return relighter.picture(), reference
 
 
 @pytest.mark.parametrize(("name", "limit"), [("bunny_lambert", 0.0137), ("spot_lafortune", 0.0095)])

@@ -7,6 +7,8 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
+from jaxrelight.timing import timed
+
 # Beyond it a fit of lobes is called poor, too.
 _POOR = 0.25
 
@@ -53,11 +55,11 @@ class Factors:
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_factors
         from jaxrelight.brdf.separable import separable
-        from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.relight import timed
-        from jaxrelight.commands.summary import summarize, versions
+        from jaxrelight.command_line import versions
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.progress import notes, progress
 
         check_place(self.output, [".npz"], "factors")
         if self.refine and self.form != "svd":

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
+from jaxrelight.timing import timed
+
 if TYPE_CHECKING:
     from fitting.lafortune import LafortuneFit
     from jaxrelight.brdf.files import BrdfFile
@@ -53,10 +55,10 @@ class Lafortune:
         from fitting.solve import Options
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_lobes
-        from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.relight import timed
-        from jaxrelight.commands.summary import summarize, versions
+        from jaxrelight.command_line import versions
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.progress import notes, progress
 
         check_place(self.output, [".toml"], "lobes")
         if self.report is not None:

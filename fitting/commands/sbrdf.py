@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from jaxrelight.timing import timed
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -54,11 +56,11 @@ class Sbrdf:
         from fitting.solve import Options
         from fitting.stack import load_stack
         from jaxrelight.brdf.files.sbrdf import write_sbrdf
-        from jaxrelight.commands.progress import progress
-        from jaxrelight.commands.relight import timed
-        from jaxrelight.commands.summary import summarize, versions
+        from jaxrelight.command_line import versions
+        from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place
+        from jaxrelight.progress import progress
 
         check_place(self.output, [".exr"], "maps")
         if self.hold_out < 0 or self.hold_out == 1:

@@ -9,6 +9,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.operators.contract import Basis
+
 
 def _face_plane(s: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Points of the cube [−1, 1]³ at face coordinates s (rightwards) and t (downwards): [6, ..., 3]."""
@@ -56,15 +58,18 @@ def texel_of(direction: Float[np.ndarray, "... 3"], resolution: int) -> Int[np.n
     return ((2 * axis + ~positive) * resolution + row) * resolution + column
 
 
-class Texels(eqx.Module):
+class Texels(Basis):
     """The basis of the texels themselves: what a transport operator without wavelets acts on."""
 
     resolution: int = eqx.field(static=True)
 
-    def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:
-        """Texel values, as they are."""
+    @property
+    def size(self) -> int:
+        """Six faces of n² texels."""
+        return 6 * self.resolution**2
+
+    def _encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:
         return texels
 
-    def decode(self, coefficients: Float[Array, "... d"]) -> Float[Array, "... d"]:
-        """Texel values, as they are."""
+    def _decode(self, coefficients: Float[Array, "... d"]) -> Float[Array, "... d"]:
         return coefficients

@@ -5,11 +5,15 @@ becomes n×n coefficients in the usual pyramid: the average at [0, 0], then for 
 details at [:m, m:2m], vertical at [m:2m, :m] and diagonal at [m:2m, m:2m].
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+
+from jaxrelight.operators.contract import Basis
 
 
 @jax.jit
@@ -52,7 +56,7 @@ def levels(resolution: int, faces: int = 6) -> Int[np.ndarray, " d"]:
     return np.tile(level.reshape(-1), faces)
 
 
-class HaarFaces(eqx.Module):
+class HaarFaces(Basis):
     """The basis of Haar coefficients on the 6×n×n texels of a cube map, or on as many faces as are asked for.
 
     Functions on them are vectors of d = 6·n² numbers.
@@ -61,14 +65,17 @@ class HaarFaces(eqx.Module):
     resolution: int = eqx.field(static=True)
     faces: int = eqx.field(static=True, default=6)
 
-    def encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:
-        """Coefficients of texel values; linear and orthonormal."""
+    @property
+    def size(self) -> int:
+        """Of n² for each face."""
+        return self.faces * self.resolution**2
+
+    def _encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:
         return self._on_faces(forward, texels)
 
-    def decode(self, coefficients: Float[Array, "... d"]) -> Float[Array, "... d"]:
-        """Texel values of coefficients: the inverse, and the transpose, of `encode`."""
+    def _decode(self, coefficients: Float[Array, "... d"]) -> Float[Array, "... d"]:
         return self._on_faces(inverse, coefficients)
 
-    def _on_faces(self, transform, vector):
+    def _on_faces(self, transform: Callable[[Array], Array], vector: Float[Array, "... d"]) -> Float[Array, "... d"]:
         n = self.resolution
         return transform(vector.reshape(*vector.shape[:-1], self.faces, n, n)).reshape(vector.shape)

@@ -19,14 +19,14 @@ from jaxrelight.basis.overlaps import overlaps
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 
 
-def directions(u: np.ndarray, v: np.ndarray) -> Float[np.ndarray, "... 3"]:
+def directions(u: Float[np.ndarray, "..."], v: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... 3"]:
     """Unit vectors at image coordinates u (rightwards) and v (downwards), both in 0 … 1."""
     longitude, polar = 2 * np.pi * (0.5 - u), np.pi * v
     sine = np.sin(polar)
     return np.stack([sine * np.sin(longitude), np.cos(polar) + 0 * u, sine * np.cos(longitude)], axis=-1)
 
 
-def coordinates(direction: Float[np.ndarray, "... 3"]) -> tuple[np.ndarray, np.ndarray]:
+def coordinates(direction: Float[np.ndarray, "... 3"]) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
     """Image coordinates (u, v) in 0 … 1 of unit vectors."""
     x, y, z = np.moveaxis(direction, -1, 0)
     return 0.5 - np.arctan2(x, z) / (2 * np.pi), np.arctan2(np.hypot(x, z), y) / np.pi
@@ -64,9 +64,9 @@ def rotate(pixels: Float[Array, "h w c"], degrees: Float[Array, ""]) -> Float[Ar
 
 
 @overload
-def resized(pixels: np.ndarray, height: int, width: int) -> np.ndarray: ...
+def resized(pixels: Float[np.ndarray, "h w c"], height: int, width: int) -> Float[np.ndarray, "{height} {width} c"]: ...
 @overload
-def resized(pixels: Array, height: int, width: int) -> Array: ...
+def resized(pixels: Float[Array, "h w c"], height: int, width: int) -> Float[Array, "{height} {width} c"]: ...
 def resized(
     pixels: Float[Array | np.ndarray, "h w c"], height: int, width: int
 ) -> Float[Array | np.ndarray, "{height} {width} c"]:
@@ -88,7 +88,9 @@ def resized(
 
 
 @jax.jit
-def _by_matrices(pixels, by_row, by_column):
+def _by_matrices(
+    pixels: Float[Array, "h w c"], by_row: Float[Array, "i h"], by_column: Float[Array, "j w"]
+) -> Float[Array, "i j c"]:
     return jnp.einsum("ih,hwc,jw->ijc", by_row, pixels, by_column, precision="highest")
 
 

@@ -76,7 +76,14 @@ def _piece(height: int, columns: int, resolution: int) -> tuple[np.ndarray, np.n
     return texel, pixel // columns, pixel % columns, _balanced(texel, pixel, shared, height, columns, resolution)
 
 
-def _cells(longitude, weight, inner, height, columns, resolution) -> tuple[np.ndarray, np.ndarray]:
+def _cells(
+    longitude: Float[np.ndarray, " l"],
+    weight: Float[np.ndarray, " l"],
+    inner: Float[np.ndarray, " b"],
+    height: int,
+    columns: int,
+    resolution: int,
+) -> tuple[Int[np.ndarray, " s"], Float[np.ndarray, " s"]]:
     """Keys (texel, pixel) and shares of the cells between borders along some meridians."""
     sine, cosine = np.sin(longitude)[:, None], np.cos(longitude)[:, None]
     # tan(latitude) of the borders: of the side face's rows, then of the grid on the cap, then of lat-long rows.
@@ -111,7 +118,14 @@ def _summed(key: np.ndarray, shared: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return key[starts], np.add.reduceat(shared[order], starts)
 
 
-def _balanced(texel, pixel, shared, height, columns, resolution) -> np.ndarray:
+def _balanced(
+    texel: Int[np.ndarray, " s"],
+    pixel: Int[np.ndarray, " s"],
+    shared: Float[np.ndarray, " s"],
+    height: int,
+    columns: int,
+    resolution: int,
+) -> Float[np.ndarray, " s"]:
     """Shares with the least relative changes that give each texel and each pixel its solid angle in this piece.
 
     A share s of texel i and pixel j becomes s (1 + a_i + b_j). The pixels' equations are solved for b, the rest by

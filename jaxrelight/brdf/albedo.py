@@ -9,6 +9,7 @@ from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 # Of ω_o from the normal.
 _DEGREES = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
@@ -17,7 +18,7 @@ _DEGREES = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
 def largest_albedo(material: Material) -> float:
     """Directional albedo, the largest over channels and directions to the eye; textures count by their means."""
     angles = np.radians(_DEGREES)
-    omega_o = as_array(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1), jnp.float32)
+    omega_o = as_array(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=-1), float_dtype(material))
     total = np.zeros((1, 1))
     for component in material.components:
         brdf = component.brdf
@@ -41,5 +42,5 @@ def mean_albedo(brdf: Brdf | SpatialLobes) -> np.ndarray:
     sine, cosine = np.sqrt((1 + square) / 2), np.sqrt((1 - square) / 2)
     turns = np.radians([10.0, 100.0])
     omega = [[s * np.cos(t), s * np.sin(t), c] for t in turns for s, c in zip(sine, cosine, strict=True)]
-    found = np.asarray(_albedos(brdf, as_array(omega, jnp.float32)))
+    found = np.asarray(_albedos(brdf, as_array(omega, float_dtype(brdf))))
     return np.tile(weight / 2, len(turns)) @ found / len(turns)

@@ -5,12 +5,14 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Number, Numbers, as_numbers, float_dtype, holds, module_of
 
 # Directions nearer to the horizon than this count as this in denominators: there the model grows without bound.
 _LEAST_COSINE = 1e-4
@@ -60,22 +62,33 @@ class AshikhminShirley(Brdf):
         return False
 
 
-def ashikhmin_shirley(kd, ks, nu, nv, dtype=jnp.float32) -> AshikhminShirley:
-    """The model of diffuse and specular reflectance, each a number or one per channel, and the two exponents.
+def ashikhmin_shirley(
+    kd: Numbers, ks: Numbers, nu: Number, nv: Number, dtype: DTypeLike | None = None
+) -> AshikhminShirley:
+    """The model of diffuse and specular reflectance, and of two exponents. Differentiable; numbers may be traced.
+
+    Args:
+        kd: diffuse reflectance, one number or one per channel.
+        ks: specular reflectance, likewise.
+        nu: the exponent along the tangent.
+        nv: the exponent along the binormal.
+        dtype: of the arrays; by default that of the arrays given, or JAX's own for numbers of Python.
 
     Raises:
         InputError: if a reflectance is not within 0 … 1, or an exponent not a finite number of at least 0.
     """
-    kd, ks = (np.atleast_1d(np.asarray(value, float)) for value in (kd, ks))
-    for name, value in (("kd", kd), ("ks", ks)):
-        if not ((value >= 0) & (value <= 1)).all():
+    dtype = float_dtype(kd, ks, nu, nv) if dtype is None else dtype
+    reflectances = {"kd": as_numbers(kd), "ks": as_numbers(ks)}
+    for name, value in reflectances.items():
+        if not holds(lambda value: (value >= 0) & (value <= 1), value):
             raise InputError(f"'{name}' must be from 0 to 1 in every channel")
-    for name, value in (("nu", nu), ("nv", nv)):
-        if not (np.ndim(value) == 0 and 0 <= value < np.inf):
+    exponents = {"nu": as_numbers(nu), "nv": as_numbers(nv)}
+    for name, value in exponents.items():
+        if value.ndim != 0 or not holds(lambda value: (value >= 0) & (value < np.inf), value):
             raise InputError(f"'{name}' must be one finite number of at least 0")
-    channels = max(3, kd.size, ks.size)
-    kd, ks = (as_array(np.broadcast_to(value, (channels,)), dtype) for value in (kd, ks))
-    return AshikhminShirley(kd, ks, as_array(nu, dtype), as_array(nv, dtype))
+    channels = max(3, *(value.size for value in reflectances.values()))
+    spread = (module_of(value).broadcast_to(value, (channels,)) for value in reflectances.values())
+    return AshikhminShirley(*(as_array(value, dtype) for value in (*spread, *exponents.values())))
 
 
 def _fifth(x):

@@ -94,7 +94,7 @@ def to_square(omega: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, 
     return 0.5 + 0.5 * (x + y), 0.5 + 0.5 * (x - y)
 
 
-def from_square(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "... 3"]:
+def from_square(a: Float[np.ndarray, "..."], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... 3"]:
     """The unit vectors that `to_square` takes there."""
     s, d = 2 * a - 1, 2 * b - 1
     x, y = (s + d) / 2, (s - d) / 2
@@ -104,6 +104,8 @@ def from_square(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "... 3"]:
 
 def bandwidth_table(brdf: Brdf, resolution: int = 256, grid: int = _GRID) -> BandwidthTable:
     """The bandwidth of any BRDF, largest in each cell of the grid, measured on finer slices.
+
+    In float32 whatever the BRDF is of: bandwidths choose how many samples are taken, not what these are.
 
     Args:
         brdf: any.

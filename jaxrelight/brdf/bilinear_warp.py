@@ -47,7 +47,11 @@ def bracket(value: Float[Array, ""], grid: Float[Array, " n"]) -> tuple[Int[Arra
 
 
 def look_up(
-    values: Float[Array, "s ... y x"], x, y, slices: Int[Array, " k"], weights: Float[Array, " k"]
+    values: Float[Array, "s ... y x"],
+    x: Float[Array, ""],
+    y: Float[Array, ""],
+    slices: Int[Array, " k"],
+    weights: Float[Array, " k"],
 ) -> Float[Array, "..."]:
     """Bilinear in x and y within 0 … 1; Σ_k weight_k of the slices."""
     (column, u), (row, v) = cell(x, values.shape[-1]), cell(y, values.shape[-2])

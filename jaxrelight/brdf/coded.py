@@ -93,6 +93,7 @@ def decode(planes: Planes, lobes: int) -> SpatialLobes:
     else:
         diffuse = _gathered(planes, "diffuse.", "RGB")
         axis = np.stack([planes["axis.cos2"], planes["axis.sin2"]], axis=-1)
+    # No storage holds more than float32.
     return SpatialLobes(*(as_array(a, jnp.float32) for a in (diffuse, C, exponent, scale, axis)))
 
 

@@ -23,6 +23,6 @@ class Brdf(eqx.Module):
         """c, the number of colour channels."""
 
     @property
-    @abc.abstractmethod
     def is_constant(self) -> bool:
-        """Whether f is the same for all directions, so that one factor of one texel is exact."""
+        """Whether f is known to be the same for all directions, so that one factor of one texel is exact."""
+        return False

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
@@ -132,7 +132,7 @@ class Samples:
         self.light, self.view = (root * self.omega[:, 2] ** power for power in cosine)
         self.channels, self._alike = brdf.channels, None
 
-    def matrix(self, channel: int) -> np.ndarray:
+    def matrix(self, channel: int) -> Float[np.ndarray, "m m"]:
         """Weighted values [i, o] of one channel."""
         n = len(self.omega)
         values = np.empty((n, n), np.float64 if n * n * 8 <= _DOUBLE else np.float32)
@@ -148,7 +148,14 @@ class Samples:
         """The first channel whose matrix is the same; `matrix` has been asked for an earlier one."""
         return channel if self._alike is None else int(np.argmax(self._alike[channel]))
 
-    def times(self, channel: int, omega: np.ndarray, vectors: np.ndarray, *, swapped: bool = False) -> np.ndarray:
+    def times(
+        self,
+        channel: int,
+        omega: Float[np.ndarray, "w 3"],
+        vectors: Float[np.ndarray, "m k"],
+        *,
+        swapped: bool = False,
+    ) -> Float[np.ndarray, "w k"]:
         """Σ_o f(ω, ω_o) vectors_o of any directions, or Σ_i f(ω_i, ω) vectors_i where swapped: [ω, vectors]."""
         products = np.zeros((len(omega), vectors.shape[1]))
         for rows, block, _ in self._blocks(omega, self.omega, channel, swapped):
@@ -167,13 +174,13 @@ class Samples:
             rows = slice(start, min(start + size, len(omega)))
             yield rows, np.asarray(block)[: rows.stop - start], np.asarray(same)
 
-    def joined(self, inside: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    def joined(self, inside: Float[np.ndarray, "m k"], rest: Float[np.ndarray, "r k"]) -> Float[np.ndarray, "k t"]:
         """Texels [k, t] from values [·, k] at those on the hemisphere and those off it."""
         texels = np.zeros((inside.shape[1], self.side**2))
         texels[:, self.inside], texels[:, ~self.inside] = inside.T, rest.T
         return texels
 
-    def maps(self, values: np.ndarray) -> Array:
+    def maps(self, values: Float[np.ndarray, "k c t"]) -> Float[Array, "k c r r"]:
         """Texels [k, c, t] as maps."""
         k, c, _ = values.shape
         return as_array(values.reshape(k, c, self.side, self.side), self.dtype)

@@ -15,6 +15,8 @@ from scipy import interpolate
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.isotropy import is_isotropic
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 # ω_o of the table: steps of its cosine, and of its azimuth for BRDFs that it matters to.
 _ELEVATIONS, _AZIMUTHS = 16, 16
@@ -90,23 +92,26 @@ def _smooth(table, row, t):
 
 
 def half_vectors(brdf: Brdf) -> HalfVectors:
-    """Made from a BRDF by evaluating it half a million times, and 16 times as often where its azimuth matters."""
+    """Made from a BRDF by evaluating it half a million times, and 16 times as often where its azimuth matters.
+
+    Tables are of the BRDF's dtype.
+    """
     azimuths = 1 if is_isotropic(brdf) else _AZIMUTHS
     root, phi = (np.arange(_FINE) + 0.5) / _FINE, ((np.arange(_FINE_AROUND) + 0.5) / _FINE_AROUND * 2 - 1) * math.pi
     cosine = (np.arange(_ELEVATIONS) + 0.5) / _ELEVATIONS
     roots = np.zeros((azimuths, _ELEVATIONS, _STEPS, 4))
     turns = np.zeros((azimuths, _ELEVATIONS, _STEPS + 1, _AROUND, 4))
-    grid = (jnp.asarray(x, jnp.float32) for x in (root**2 * (math.pi / 2), phi))
-    theta, phi = grid
+    dtype = float_dtype(brdf)
+    theta, phi = (as_array(x, dtype) for x in (root**2 * (math.pi / 2), phi))
     for a in range(azimuths):
         turn = 2 * math.pi * a / azimuths
         for e, c in enumerate(cosine):
             s = math.sqrt(1 - c * c)
-            omega_o = jnp.asarray([s * math.cos(turn), s * math.sin(turn), c], jnp.float32)
+            omega_o = as_array([s * math.cos(turn), s * math.sin(turn), c], dtype)
             mass = np.asarray(_reflected(brdf, omega_o, theta, phi + turn), float) * root[:, None]
             mass = np.where(np.isfinite(mass), np.maximum(mass, 0), 0)
             roots[a, e], turns[a, e] = _equal_shares(mass)
-    return HalfVectors(jnp.asarray(roots, jnp.float32), jnp.asarray(turns, jnp.float32))
+    return HalfVectors(as_array(roots, dtype), as_array(turns, dtype))
 
 
 def _equal_shares(mass: Float[np.ndarray, "f g"]) -> tuple[np.ndarray, np.ndarray]:
@@ -137,13 +142,14 @@ def _cubics(values: Float[np.ndarray, "... n1"]) -> Float[np.ndarray, "... n 4"]
 @eqx.filter_jit
 def _reflected(brdf, omega_o, theta, phi):
     """Of every √θ_h (but for the root itself) and φ_h, f cosθ_i, summed over channels."""
+    up = jnp.asarray([0.0, 0, 1], omega_o.dtype)
 
     def one(theta, phi):
         half = jnp.stack([jnp.sin(theta) * jnp.cos(phi), jnp.sin(theta) * jnp.sin(phi), jnp.cos(theta)])
         dot = jnp.sum(omega_o * half)
         omega_i = 2 * dot * half - omega_o
         above = (omega_i[2] > 0) & (dot > 0)
-        value = jnp.sum(brdf.evaluate(jnp.where(above, omega_i, jnp.asarray([0.0, 0, 1])), omega_o))
+        value = jnp.sum(brdf.evaluate(jnp.where(above, omega_i, up), omega_o))
         return jnp.where(above, value * omega_i[2] * dot * jnp.sin(theta), 0)
 
     return jax.lax.map(lambda t: jax.vmap(lambda p: one(t, p))(phi), theta, batch_size=16)

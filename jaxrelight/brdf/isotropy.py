@@ -2,11 +2,11 @@
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 
 def is_isotropic(brdf: Brdf) -> bool:
@@ -18,7 +18,7 @@ def is_isotropic(brdf: Brdf) -> bool:
         sine = np.sqrt(1 - z**2)
         both = zip(sine, phi[:2] + turn, z, strict=True)
         pair = (np.stack([s * np.cos(p), s * np.sin(p), c], axis=1) for s, p, c in both)
-        return np.asarray(_pairs(brdf, *(as_array(side, jnp.float32) for side in pair)), float)
+        return np.asarray(_pairs(brdf, *(as_array(side, float_dtype(brdf)) for side in pair)), float)
 
     one, other = at(0), at(phi[2])
     return bool(np.all(np.abs(one - other) <= 1e-3 * np.abs(one).max()))

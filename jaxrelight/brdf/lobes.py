@@ -1,16 +1,26 @@
 """Lambert, Phong and Lafortune: one constant and a sum of cosine lobes (Lafortune 1997; McAllister 2002 eq. 2)."""
 
 import math
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Number, Numbers, as_numbers, float_dtype, given_dtype, holds, module_of
+
+# C with max|C| = 1, the exponent and the scale of one lobe, as `lobe` makes them.
+Lobe = tuple[
+    Float[Array | np.ndarray, "c1 3"],
+    Float[Array | np.ndarray, " c1"],
+    Float[Array | np.ndarray, " c"],
+]
 
 
 class LobeSum(Brdf):
@@ -82,20 +92,28 @@ def turned(vectors: Float[Array, "... 3"], angle: Float[Array, ""]) -> Float[Arr
     return jnp.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)
 
 
-def lambert(albedo) -> LobeSum:
-    """Albedo/π in every direction; albedo per channel."""
+def lambert(albedo: Numbers) -> LobeSum:
+    """Albedo/π in every direction; albedo one number or one per channel, traced or not."""
     return lobe_sum(albedo, [])
 
 
-def phong(diffuse, specular, exponent) -> LobeSum:
-    """diffuse/π + specular·(n + 2)/(2π)·max(0, cos α)ⁿ, α from the mirror direction: C = (−1, −1, 1)."""
-    n = np.asarray(exponent, float)
-    scale = (n + 2) / (2 * np.pi) * np.asarray(specular, float)
-    return lobe_sum(diffuse, [lobe([-1, -1, 1], exponent, specular=scale)])
+def phong(diffuse: Numbers, specular: Numbers, exponent: Numbers) -> LobeSum:
+    """diffuse/π + specular·(n + 2)/(2π)·max(0, cos α)ⁿ, α from the mirror direction: C = (−1, −1, 1).
+
+    Each one number or one per channel, traced or not; types as of `lobe_sum`.
+
+    Raises:
+        InputError: as `lobe`.
+    """
+    n, factor = as_numbers(exponent), as_numbers(specular)
+    scale = (n + 2) / (2 * math.pi) * factor
+    return lobe_sum(diffuse, [lobe([-1, -1, 1], n, specular=scale)], float_dtype(diffuse, specular, exponent))
 
 
-def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def lobe(C: Numbers, exponent: Numbers, *, specular: Numbers | None = None, peak: Numbers | None = None) -> Lobe:
     """One Lafortune lobe: specular·max(0, ω_oᵀCω_i)ⁿ, or peak·max(0, ω_oᵀCω_i / max|C|)ⁿ.
+
+    Arguments may be traced: then their shapes are checked, and not their values.
 
     Args:
         C: three numbers, or three for every channel.
@@ -104,51 +122,78 @@ def lobe(C, exponent, *, specular=None, peak=None) -> tuple[np.ndarray, np.ndarr
         peak: factor of the lobe normalised by max|C|: the form for large exponents, where max|C|ⁿ leaves the floats.
 
     Returns:
-        (C [c1, 3] with max|C| = 1 in each channel, exponent [c1], scale [c]) in float64.
+        (C [c1, 3] with max|C| = 1 in each channel, exponent [c1], scale [c]): on the host in float64, but in float32 of
+        float32 arrays; of JAX where something is traced.
 
     Raises:
-        InputError: if neither or both factors are given, or max|C|ⁿ · specular is no finite number.
+        InputError: if neither or both factors are given, if a number is not finite, the exponent is negative, or
+            max|C|ⁿ · specular is no finite number.
     """
-    if (specular is None) == (peak is None):
+    given = peak if specular is None else specular
+    if given is None or not (specular is None or peak is None):
         raise InputError("a lobe needs exactly one of 'specular' and 'peak'")
-    C, factor = np.atleast_2d(np.asarray(C, float)), np.asarray(peak if specular is None else specular, float)
-    if C.shape[-1] != 3 or C.ndim != 2:
-        raise InputError(f"a lobe's C needs three numbers, or three for every channel, not the shape {C.shape}")
-    if not all(np.isfinite(part).all() for part in (C, factor, np.asarray(exponent, float))):
+    dtype = given_dtype(C, exponent, given)
+    largest_float = np.finfo(float_dtype(C, exponent, given)).max
+    directions, n, factor = as_numbers(C), as_numbers(exponent), as_numbers(given)
+    if directions.ndim not in (1, 2) or directions.shape[-1] != 3:
+        raise InputError(
+            f"a lobe's C needs three numbers, or three for every channel, not the shape {directions.shape}"
+        )
+    if not all(holds(np.isfinite, part) for part in (directions, n, factor)):
         raise InputError("a lobe's C, exponent and factor must be finite")
-    n = np.broadcast_to(np.atleast_1d(np.asarray(exponent, float)), (max(len(C), np.size(exponent)),))
-    if (n < 0).any():
+    if not holds(lambda n: n >= 0, n):
         raise InputError("a lobe's exponent must be at least 0")
-    C = np.broadcast_to(C, (len(n), 3))
-    largest = np.abs(C).max(axis=-1)
-    normal = np.where(largest[:, None] > 0, C / np.where(largest > 0, largest, 1)[:, None], 0)
+    xp = module_of(directions, n, factor)
+    directions, n, factor = xp.atleast_2d(directions), xp.atleast_1d(n), xp.atleast_1d(factor)
+    n = xp.broadcast_to(n, (max(len(directions), n.size),))
+    directions = xp.broadcast_to(directions, (len(n), 3))
+    length = xp.abs(directions).max(axis=-1)
+    divisor = xp.where(length > 0, length, 1)
+    normal = xp.where(length[:, None] > 0, directions / divisor[:, None], 0)
     if peak is not None:
-        return normal, n, np.atleast_1d(factor)
-    with np.errstate(over="ignore", divide="ignore"):
-        scale = factor * np.exp(n * np.log(np.where(largest > 0, largest, 1)))
-    if not (np.abs(scale) < np.finfo(np.float32).max).all():
-        raise InputError("a lobe's specular · max|C|^exponent is too large; give 'peak', its largest value, instead")
-    return normal, n, np.atleast_1d(scale)
+        scale = factor
+    else:
+        with np.errstate(over="ignore"):
+            scale = factor * xp.exp(n * xp.log(divisor))
+        if not holds(lambda scale: np.abs(scale) < largest_float, scale):
+            raise InputError(
+                "a lobe's specular · max|C|^exponent is too large; give 'peak', its largest value, instead"
+            )
+    if xp is jnp:
+        dtype = jax.dtypes.canonicalize_dtype(dtype)
+    return normal.astype(dtype), n.astype(dtype), scale.astype(dtype)
 
 
-def lobe_sum(diffuse, lobes, dtype=jnp.float32, *, turn=None) -> LobeSum:
+def lobe_sum(
+    diffuse: Numbers, lobes: Sequence[Lobe], dtype: DTypeLike | None = None, *, turn: Number | None = None
+) -> LobeSum:
     """A BRDF of a diffuse albedo and lobes made by `lobe`; single numbers are spread over the channels.
 
-    `turn` is the direction of anisotropy in radians from the tangent.
-    """
-    diffuse = np.atleast_1d(np.asarray(diffuse, float))
-    channels = max([3, diffuse.size, *(part.size for _, n, scale in lobes for part in (n, scale))])
-    shared = all(len(n) == 1 for _, n, _ in lobes)
-    width = 1 if shared else channels
+    Differentiable in all numbers; they may be traced.
 
-    def stack(parts, *shape):
-        spread = [np.broadcast_to(part, shape) for part in parts]
-        return as_array(np.stack(spread) if spread else np.zeros((0, *shape)), dtype)
+    Args:
+        diffuse: albedo, one number or one per channel.
+        lobes: any number of them.
+        dtype: of the arrays; by default that of the arrays given, or JAX's own for numbers of Python.
+        turn: the direction of anisotropy in radians from the tangent.
+    """
+    dtype = float_dtype(diffuse, lobes, turn) if dtype is None else dtype
+    albedo = as_numbers(diffuse)
+    albedo = module_of(albedo).atleast_1d(albedo)
+    channels = max([3, albedo.size, *(part.size for _, n, scale in lobes for part in (n, scale))])
+    width = 1 if all(len(n) == 1 for _, n, _ in lobes) else channels
+
+    def spread(parts: Sequence, *shape: int) -> Array:
+        """One row for each part, of a common shape."""
+        if not parts:
+            return as_array(np.zeros((0, *shape)), dtype)
+        xp = module_of(*parts)
+        return as_array(xp.stack([xp.broadcast_to(part, shape) for part in parts]), dtype)
 
     return LobeSum(
-        diffuse=as_array(np.broadcast_to(diffuse, (channels,)), dtype),
-        C=stack([C for C, _, _ in lobes], width, 3),
-        exponent=stack([n for _, n, _ in lobes], width),
-        scale=stack([scale for _, _, scale in lobes], channels),
+        diffuse=as_array(module_of(albedo).broadcast_to(albedo, (channels,)), dtype),
+        C=spread([C for C, _, _ in lobes], width, 3),
+        exponent=spread([n for _, n, _ in lobes], width),
+        scale=spread([scale for _, _, scale in lobes], channels),
         turn=None if turn is None else as_array(turn, dtype),
     )

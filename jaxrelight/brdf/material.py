@@ -4,6 +4,7 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
@@ -11,6 +12,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, Weight, constant
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Numbers, as_numbers, float_dtype, module_of
 
 
 class Component(eqx.Module):
@@ -24,7 +26,8 @@ class Material(eqx.Module):
     """Σ_b weight_b(u, v) · f_b(ω_i, ω_o).
 
     Transport is precomputed for each f_b by itself; weights multiply at the view, in every pixel. So a texture stays as
-    sharp as it is, whatever the receivers are, and changing it changes no transport.
+    sharp as it is, whatever the receivers are, and changing it changes no transport. Like BRDFs, textures and lights a
+    material is a pytree: `jax.jit`, `jax.grad` and `jax.vmap` take and return it.
 
     Attributes:
         components: the BRDFs and their weights.
@@ -56,16 +59,22 @@ def as_material(surface: Brdf | Material) -> Material:
     return surface if isinstance(surface, Material) else Material((Component(surface),))
 
 
-def white_lambert() -> LobeSum:
-    """Albedo 1 in a single channel: what a texture of albedos multiplies."""
-    return LobeSum(*(as_array(x, np.float32) for x in (np.ones(1), *map(np.zeros, ((0, 1, 3), (0, 1), (0, 1))))))
+def white_lambert(dtype: DTypeLike | None = None) -> LobeSum:
+    """Albedo 1 in a single channel: what a texture of albedos multiplies. By default of JAX's own dtype."""
+    dtype = float_dtype() if dtype is None else dtype
+    return LobeSum(*(as_array(x, dtype) for x in (np.ones(1), *map(np.zeros, ((0, 1, 3), (0, 1), (0, 1))))))
 
 
-def white_phong(exponent) -> LobeSum:
-    """(n + 2)/(2π)·max(0, cos α)ⁿ, as `phong` of specular 1: in a single channel where the exponent is one number."""
-    n = np.atleast_1d(np.asarray(exponent, float))
+def white_phong(exponent: Numbers, dtype: DTypeLike | None = None) -> LobeSum:
+    """(n + 2)/(2π)·max(0, cos α)ⁿ, as `phong` of specular 1: in a single channel where the exponent is one number.
+
+    The exponent may be traced. The dtype is by default that of its array, or JAX's own for numbers of Python.
+    """
+    dtype = float_dtype(exponent) if dtype is None else dtype
+    n = as_numbers(exponent)
+    n = module_of(n).atleast_1d(n)
     arrays = np.zeros(len(n)), np.tile([-1.0, -1.0, 1.0], (1, len(n), 1)), n[None], ((n + 2) / (2 * np.pi))[None]
-    return LobeSum(*(as_array(x, np.float32) for x in arrays))
+    return LobeSum(*(as_array(x, dtype) for x in arrays))
 
 
 def in_grey(material: Material, diffuse: bool = False) -> Material:
@@ -78,7 +87,7 @@ def in_grey(material: Material, diffuse: bool = False) -> Material:
     for component in material.components:
         brdf = component.brdf
         if diffuse and isinstance(brdf, LobeSum) and brdf.is_constant:
-            parts.append(Component(white_lambert(), (constant(brdf.diffuse, brdf.diffuse.dtype), *component.weight)))
+            parts.append(_white_times(brdf.diffuse, component.weight))
             continue
         tint = _tint(brdf) if isinstance(brdf, LobeSum) else None
         if tint is None:
@@ -86,12 +95,17 @@ def in_grey(material: Material, diffuse: bool = False) -> Material:
             continue
         assert isinstance(brdf, LobeSum)
         if np.any(np.asarray(brdf.diffuse)):
-            parts.append(Component(white_lambert(), (constant(brdf.diffuse, brdf.diffuse.dtype), *component.weight)))
+            parts.append(_white_times(brdf.diffuse, component.weight))
         strongest = int(np.argmax(np.abs(tint)))
         scale, dtype = np.asarray(brdf.scale)[:, strongest, None] / tint[strongest], brdf.scale.dtype
         grey = LobeSum(as_array(np.zeros(1), dtype), brdf.C, brdf.exponent, as_array(scale, dtype), brdf.turn)
         parts.append(Component(grey, (constant(tint, brdf.scale.dtype), *component.weight)))
     return dataclasses.replace(material, components=tuple(parts))
+
+
+def _white_times(albedo: Float[Array, " c"], weight: Weight) -> Component:
+    """A diffuse component as a white one, times its albedo."""
+    return Component(white_lambert(albedo.dtype), (constant(albedo, albedo.dtype), *weight))
 
 
 def _tint(brdf: LobeSum) -> Float[np.ndarray, " c"] | None:
@@ -108,9 +122,11 @@ def _tint(brdf: LobeSum) -> Float[np.ndarray, " c"] | None:
 
 def textured_lambert(albedo: Texture) -> Material:
     """A texture of albedos over π."""
-    return Material((Component(white_lambert(), (albedo,)),))
+    return Material((Component(white_lambert(float_dtype(albedo)), (albedo,)),))
 
 
-def textured_phong(diffuse: Texture, specular: Texture, exponent) -> Material:
-    """`phong` with a texture for either colour."""
-    return Material((Component(white_lambert(), (diffuse,)), Component(white_phong(exponent), (specular,))))
+def textured_phong(diffuse: Texture, specular: Texture, exponent: Numbers) -> Material:
+    """`phong` with a texture for either colour; the exponent one number or one per channel, traced or not."""
+    dtype = float_dtype(diffuse, specular, exponent)
+    shine = Component(white_phong(exponent, dtype), (specular,))
+    return Material((Component(white_lambert(dtype), (diffuse,)), shine))

@@ -1,14 +1,18 @@
 """Non-negative matrix factorisation by hierarchical alternating least squares (Cichocki and Phan 2009)."""
 
 import numpy as np
+from jaxtyping import Float
 
 # Sweeps at most, and the relative change of the squared error in one at which iteration stops.
 _SWEEPS, _STILL = 400, 1e-5
 
 
 def nonnegative_factors(
-    matrix: np.ndarray, u: np.ndarray, sigma: np.ndarray, v: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    matrix: Float[np.ndarray, "m n"],
+    u: Float[np.ndarray, "m k"],
+    sigma: Float[np.ndarray, " k"],
+    v: Float[np.ndarray, "n k"],
+) -> tuple[Float[np.ndarray, "m k"], Float[np.ndarray, "n k"]]:
     """Two non-negative matrices g [m, k], h [n, k] of small ‖matrix − g hᵀ‖ and ‖g_k‖ = ‖h_k‖.
 
     Alternating least squares, one column after the other, from singular vectors u, v and their values.
@@ -43,8 +47,11 @@ def _positive_parts(u: np.ndarray, sigma: np.ndarray, v: np.ndarray) -> tuple[np
 
 
 def nonnegative_rows(
-    products: np.ndarray, gram: np.ndarray, start: np.ndarray | None = None, sweeps: int = _SWEEPS
-) -> np.ndarray:
+    products: Float[np.ndarray, "m k"],
+    gram: Float[np.ndarray, "k k"],
+    start: Float[np.ndarray, "m k"] | None = None,
+    sweeps: int = _SWEEPS,
+) -> Float[np.ndarray, "m k"]:
     """Rows x ≥ 0 of least ‖M − x hᵀ‖ from products M h and gram hᵀh, one column after the other.
 
     A term whose h is 0 stays as it is.

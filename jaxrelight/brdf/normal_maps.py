@@ -13,6 +13,8 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import GBuffer, trace_gbuffer
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 # A normal map, or none, for each mesh.
 NormalMaps = Sequence[Texture | None]
@@ -32,8 +34,9 @@ def bent(
     s is the direction of growing u made perpendicular to n, and t that of growing v. Where texture coordinates do not
     tell s, or the map has no direction, n stays.
     """
-    covered = jnp.broadcast_to(jnp.asarray(footprint, jnp.float32), len(uv))
-    found = jax.vmap(bumps.look_up)(jnp.asarray(uv, jnp.float32), covered)
+    dtype = float_dtype(bumps)
+    covered = jnp.broadcast_to(as_array(footprint, dtype), len(uv))
+    found = jax.vmap(bumps.look_up)(as_array(uv, dtype), covered)
     x, y, z = (2 * np.asarray(found, float) - 1).T[:, :, None]
     along = u_axes[:, :3] - normals * np.sum(u_axes[:, :3] * normals, axis=1, keepdims=True)
     length = np.linalg.norm(along, axis=1, keepdims=True)

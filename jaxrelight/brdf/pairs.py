@@ -1,6 +1,5 @@
 """Pairs of directions in which functions of two directions are compared."""
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -8,7 +7,7 @@ from jaxrelight.numerics.arrays import as_array
 
 
 def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
-    """Pairs of directions above the surface, the same ones every time.
+    """Pairs of directions above the surface, the same ones every time, of JAX's own dtype.
 
     Eyes lie over the hemisphere, lights near each eye's mirror direction and far from it: lobes of every width are met.
     """
@@ -27,4 +26,4 @@ def spread_pairs(count: int) -> tuple[Float[Array, "s 3"], Float[Array, "s 3"]]:
     tangent = np.cos(around)[:, None] * first + np.sin(around)[:, None] * second
     omega_i = np.cos(away)[:, None] * mirror + np.sin(away)[:, None] * tangent
     omega_i[:, 2] = np.abs(omega_i[:, 2])
-    return as_array(omega_i, jnp.float32), as_array(omega_o, jnp.float32)
+    return as_array(omega_i), as_array(omega_o)

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 import scipy.sparse.linalg
+from jaxtyping import Float
 
 
-def asymmetry(matrix: np.ndarray, rows: int = 256) -> float:
+def asymmetry(matrix: Float[np.ndarray, "n n"], rows: int = 256) -> float:
     """Largest |M − Mᵀ| over largest |M|."""
     starts = range(0, len(matrix), rows)
     apart = max(np.abs(matrix[s : s + rows] - matrix[:, s : s + rows].T).max() for s in starts)
@@ -15,7 +16,9 @@ def asymmetry(matrix: np.ndarray, rows: int = 256) -> float:
     return apart / largest if largest else 0.0
 
 
-def largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def largest_singular(
+    matrix: Float[np.ndarray, "m n"], terms: int
+) -> tuple[Float[np.ndarray, "m k"], Float[np.ndarray, " k"], Float[np.ndarray, "n k"]]:
     """(u [m, k], σ [k] descending, v [n, k]), with signs such that every u sums to no less than 0.
 
     The eigenvectors of a symmetric matrix are found sooner than singular vectors, and more precisely.
@@ -33,7 +36,9 @@ def largest_singular(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.nda
     return u * sign, sigma, vt.T * sign
 
 
-def largest_eigen(matrix: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+def largest_eigen(
+    matrix: Float[np.ndarray, "n n"], terms: int
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "n k"]]:
     """(eigenvalues [k], vectors [n, k]) by falling magnitude, with signs such that every vector sums to at least 0."""
     if terms > len(matrix) // 4 or not matrix.any():
         value, q = scipy.linalg.eigh(matrix)

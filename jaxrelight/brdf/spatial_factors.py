@@ -23,6 +23,7 @@ from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Footprint, Texture
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 # Shapes are sought until so little of the lobes is left, at most so many; among so many lobes, compared in so many
 # pairs of directions. Lobes whose weights are solved for together.
@@ -94,7 +95,8 @@ def without_diffuse(material: Material) -> Material:
     for component in material.components:
         brdf = component.brdf
         if isinstance(brdf, SpatialLobes):
-            parts.append(Component(white_lambert(), (Texture(brdf.diffuse).minified(), *component.weight)))
+            white = white_lambert(float_dtype(brdf))
+            parts.append(Component(white, (Texture(brdf.diffuse).minified(), *component.weight)))
             if not (brdf.lobes and np.any(np.asarray(brdf.scale) > 0)):
                 continue
             brdf = dataclasses.replace(brdf, diffuse=jnp.zeros_like(brdf.diffuse), coarser=())
@@ -133,7 +135,7 @@ def factor_spatial(
     weights, error = _weights(every, np.asarray(lobes.scale).reshape(h * w, lobes.lobes, -1), basis, pairs, at)
     size = np.sqrt(np.mean(weights**2, axis=(0, 2)))
     light, view, left = _factored(shapes, size, terms, resolution)
-    texture = Texture(as_array(weights.reshape(h, w, -1), jnp.float32)).minified()
+    texture = Texture(as_array(weights.reshape(h, w, -1), float_dtype(lobes))).minified()
     return SpatialFactors(light, view, texture), Left(error, left)
 
 
@@ -147,7 +149,7 @@ def _lobes_of(lobes: SpatialLobes) -> LobeSum:
         np.ones((total, 1, 1)),
         np.repeat(np.arctan2(axis[..., 1], axis[..., 0]).reshape(-1) / 2, lobes.lobes),
     )
-    return LobeSum(*(one.astype(np.float32) for one in arrays))
+    return LobeSum(*(one.astype(float_dtype(lobes)) for one in arrays))
 
 
 @jax.jit
@@ -178,7 +180,7 @@ def _weights(every: LobeSum, scale: Float[np.ndarray, "t l c"], basis, pairs, at
     gram = np.asarray(basis, float) @ np.asarray(basis, float).T
     # A millionth of the largest: shapes that are nearly alike share their weight.
     inverse = np.linalg.inv(gram + 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram)))
-    solve = (inverse @ np.asarray(basis, float)).astype(np.float32)
+    solve = (inverse @ np.asarray(basis, float)).astype(float_dtype(every))
     weights, missed, total = np.empty((texels, len(gram), channels)), 0.0, 0.0
     size = max(1, _TOGETHER // count)
     for start in range(0, texels, size):

@@ -6,9 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Numbers, as_numbers, float_dtype, module_of
 
 # The area in texture coordinates that a pixel of the picture covers.
 Footprint = Float[Array, ""] | float
@@ -134,9 +136,14 @@ def _halved(level: Float[Array, "h w c"]) -> Float[Array, "r q c"]:
 Weight = tuple[Texture, ...]
 
 
-def constant(values, dtype=jnp.float32) -> Texture:
-    """The same numbers everywhere."""
-    return Texture(as_array(np.atleast_1d(values)[None, None], dtype))
+def constant(values: Numbers, dtype: DTypeLike | None = None) -> Texture:
+    """The same numbers everywhere: one, or one per channel, traced or not.
+
+    The dtype is by default that of the arrays given, or JAX's own for numbers of Python.
+    """
+    dtype = float_dtype(values) if dtype is None else dtype
+    numbers = as_numbers(values)
+    return Texture(as_array(module_of(numbers).atleast_1d(numbers)[None, None], dtype))
 
 
 @jax.jit

@@ -1,89 +1,103 @@
-"""The dials of lighting methods as options of commands, and which method a command line asks for."""
+"""The lighting method that a command line asks for, and its dials as options of a command."""
 
-import ast
+import argparse
 import dataclasses
-import functools
-import inspect
 import pathlib
+import re
+import sys
 import tomllib
-from collections.abc import Sequence
-from typing import Annotated, Any, get_type_hints
+from collections.abc import Collection, Sequence
+from typing import Annotated, Any, get_args, get_type_hints
 
 import tyro
 
-from jaxrelight.methods import METHODS, Indirect, Method, Transport
+from jaxrelight.methods import METHODS, Method, documentation
 
-ALL_DIALS = "--help-all"
-
-
-@functools.cache
-def documentation(method: type[Method]) -> dict[str, str]:
-    """What each dial of a method is for: the texts under the fields of its class."""
-    (body,) = ast.parse(inspect.getsource(method)).body
-    assert isinstance(body, ast.ClassDef)
-    texts, pairs = {}, zip(body.body, body.body[1:], strict=False)
-    for field, text in pairs:
-        if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-            assert isinstance(field.target, ast.Name)
-            texts[field.target.id] = " ".join(str(text.value.value).split())
-    return texts
+HELP_ALL = "--help-all"
+# Options of commands that only some methods have, that --help-all alone lists, and that are dials as well.
+_ONLY_OF = {"store": ("transport", "indirect"), "layers": ("indirect",), "maps": ("adaptive",)}
+_ADVANCED = ("modules",)
+_SHARED = ("exposure",)
 
 
-def with_dials(
-    command: type, method: type[Method], hidden: Sequence[str] = (), show_all: bool = False, about: str | None = None
-) -> type:
-    """A command whose options are its own and the dials of a method.
+def with_dials(command: Any, arguments: Sequence[str]) -> type:
+    """A command whose options are its own and the dials of the lighting method that its arguments ask for.
 
-    Args:
-        command: a dataclass; its field `method` is filled by `method_of`.
-        method: whose dials.
-        hidden: dials that the command sets itself.
-        about: the command's help text; by default its own.
-        show_all: list the advanced dials in the help text, too; they are accepted either way.
+    --help goes without advanced options. An option of another method ends the program with one line and status 2.
     """
-    hints, texts, fields = get_type_hints(method, include_extras=True), documentation(method), []
-    for field in dataclasses.fields(method):
-        if field.name in hidden:
-            continue
-        options: list[Any] = [tyro.conf.arg(help=texts[field.name])]
-        if field.name in method.advanced and not show_all:
-            options.append(tyro.conf.Suppress)
-        fields.append((field.name, Annotated[hints[field.name], *options], field.default))
-    dials = dataclasses.make_dataclass("Dials", fields, frozen=True)
-    more = [("dials", tyro.conf.OmitArgPrefixes[dials], dials()), ("kind", tyro.conf.Suppress[str], method.__name__)]
-    made = dataclasses.make_dataclass(command.__name__, more, bases=(command,), frozen=True)
-    made.__doc__ = about or command.__doc__
+    shows_all = HELP_ALL in arguments
+    asks_for_help = shows_all or not {"-h", "--help"}.isdisjoint(arguments)
+    lighting, why = _chosen_lighting(arguments)
+    refused = "" if asks_for_help else _refusal(arguments, lighting, why)
+    if lighting not in get_args(get_type_hints(command)["lighting"]):
+        refused = f"--lighting {lighting} precomputes nothing; render with it, or precompute transport or indirect"
+    if refused:
+        print(f"jaxrelight: {refused}", file=sys.stderr)
+        sys.exit(2)
+    method, hides = METHODS[lighting], asks_for_help and not shows_all
+    others = [name for name, methods in _ONLY_OF.items() if lighting not in methods]
+    own = _options(command, [*others, *(_ADVANCED if hides else ())])
+    dial_options = _options(method, [*_SHARED, *(method.advanced if hides else ())])
+    dials = dataclasses.make_dataclass("Dials", dial_options, frozen=True)
+    dials.__doc__ = (method.__doc__ or "").partition("\n")[0]
+    more = [("dials", tyro.conf.OmitArgPrefixes[dials], dials()), ("method", tyro.conf.Suppress[str], lighting)]
+    made = dataclasses.make_dataclass(command.__name__, own + more, bases=(command,), frozen=True)
+    made.__doc__ = command.__doc__
     return made
 
 
-def method_of(command: Any, **others: object) -> Method:
-    """The method that a command's options make, with dials that the command sets itself.
+def method_of(command: Any, **shared: object) -> Method:
+    """The method that a command's options make; `shared` are dials, if it has them, that the command has as its own.
 
     Raises:
         InputError: for a dial outside its range.
     """
-    return METHODS[command.kind.lower()](**vars(command.dials), **others)
+    kind, values = METHODS[command.method], {**vars(command.dials), **shared}
+    return kind(**{field.name: values[field.name] for field in dataclasses.fields(kind)})
 
 
-def chosen_method(arguments: Sequence[str]) -> type[Method]:
-    """The lighting method that a command line names; or the default one of the scene that it names."""
-    name = _value_of("--lighting", arguments)
-    if name in METHODS:
-        return METHODS[name]
+def _options(kind: type, hidden: Collection[str]) -> list[tuple[str, Any, Any]]:
+    """Fields of a dataclass as options, or as none where they are hidden.
+
+    Their texts are given to tyro, which by itself breaks lines where those of the source end.
+    """
+    hints, texts, options = get_type_hints(kind, include_extras=True), documentation(kind), []
+    for field in dataclasses.fields(kind):
+        option = hints[field.name]
+        if field.name in texts:
+            text = re.sub(r"\b[a-z]+(_[a-z]+)+\b", lambda name: f"--{name[0].replace('_', '-')}", texts[field.name])
+            # Of what is on by default, the option is one that turns it off.
+            text = f"Turns this off: {text[0].lower()}{text[1:]}" if field.default is True else text
+            option = Annotated[option, tyro.conf.arg(help=text)]
+        option = tyro.conf.Suppress[option] if field.name in hidden else option
+        options.append((field.name, option, dataclasses.field(default=field.default)))
+    return options
+
+
+def _chosen_lighting(arguments: Sequence[str]) -> tuple[str, str]:
+    """The name of the lighting method that arguments ask for, or that the scene's lights do; and why it is that."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--lighting", nargs="?")
+    parser.add_argument("--env", nargs="?")
+    given, others = parser.parse_known_args(arguments)
+    if given.lighting in METHODS:
+        return given.lighting, f"this is --lighting {given.lighting}"
+    path = next((argument for argument in others if argument.lower().endswith(".toml")), None)
+    try:
+        scene = tomllib.loads(pathlib.Path(path).read_text(encoding="utf-8-sig")) if path else {}
+    except (OSError, ValueError, RecursionError):
+        return "transport", "as the scene cannot be read, the lighting method is transport"
+    if "light" in scene and "environment" not in scene and given.env is None:
+        return "indirect", "this scene has local lights alone, so the lighting method is indirect"
+    return "transport", "this scene does not have local lights alone, so the lighting method is transport"
+
+
+def _refusal(arguments: Sequence[str], lighting: str, why: str) -> str:
+    """The first option that other lighting methods have and this one has not, in a line; or nothing."""
     for argument in arguments:
-        if argument.lower().endswith(".toml") and "--env" not in arguments:
-            try:
-                scene = tomllib.loads(pathlib.Path(argument).read_text(encoding="utf-8"))
-            except (OSError, ValueError):
-                return Transport
-            return Indirect if "light" in scene and "environment" not in scene else Transport
-    return Transport
-
-
-def _value_of(option: str, arguments: Sequence[str]) -> str | None:
-    for argument, following in zip(arguments, [*arguments[1:], ""], strict=True):
-        if argument == option:
-            return following
-        if argument.startswith(f"{option}="):
-            return argument.partition("=")[2]
-    return None
+        option = argument.partition("=")[0].replace("_", "-")
+        name = option.removeprefix("--").removeprefix("no-").replace("-", "_")
+        owners = _ONLY_OF.get(name) or [one for one, kind in METHODS.items() if name in documentation(kind)]
+        if option.startswith("--") and owners and lighting not in owners and name not in _SHARED:
+            return f"{option} is a dial of --lighting {' or '.join(owners)}; {why}"
+    return ""

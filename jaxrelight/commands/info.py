@@ -7,6 +7,11 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from jaxrelight.commands.options import Json, Modules, import_modules
+from jaxrelight.commands.summary import summarize
+from jaxrelight.methods import Transport
+from jaxrelight.progress import notes
+
 if TYPE_CHECKING:
     from jaxrelight.brdf.material import Material
 
@@ -17,21 +22,19 @@ class Info:
 
     path: tyro.conf.Positional[pathlib.Path]
     """A store's folder, a .toml scene, a mesh, an image, or a .binary, .bsdf or .brdf file."""
-    json: bool = False
-    """Print one JSON object."""
+    modules: Modules = ()
+    json: Json = False
 
     def run(self):
         """Runs the command."""
-        from jaxrelight.commands.summary import summarize
-
+        import_modules(self.modules)
+        suffix = self.path.suffix.lower()
         if self.path.is_dir():
             summary = _store(self.path)
-        elif self.path.suffix.lower() in (".toml", ".ply", ".obj", ".stl", ".glb", ".gltf"):
+        elif suffix in (".toml", ".ply", ".obj", ".stl", ".glb", ".gltf"):
             summary = _scene(self.path)
-        elif self.path.suffix.lower() in (".binary", ".bsdf", ".brdf"):
-            summary = _brdf(self.path)
         else:
-            summary = _image(self.path)
+            summary = _brdf(self.path) if suffix in (".binary", ".bsdf", ".brdf") else _image(self.path)
         summarize({"command": "info", **summary}, self.json)
 
 
@@ -41,11 +44,10 @@ def _store(path: pathlib.Path) -> dict:
     from jaxrelight.commands.pictures import describe
     from jaxrelight.files import store
     from jaxrelight.lighting.prepare import open_store
-    from jaxrelight.methods import Indirect
 
     header = store.read_header(path)
     relighter, used = open_store(path), set(store.layers_of(header))
-    transport = relighter.transport
+    transport, local = relighter.transport, relighter.transport.stored.local
     for name in sorted(used):
         store.open_layer(path / name).check()
     layers = sorted(folder for folder in path.iterdir() if folder.is_dir())
@@ -61,14 +63,12 @@ def _store(path: pathlib.Path) -> dict:
         "materials": dict(terms),
         "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
-        "lights": len(transport.stored.local),
-        "leaves_out": list(relighter.method.leaves_out(environment=True, local=bool(transport.stored.local))),
+        "lights": len(local),
+        "leaves_out": list(relighter.method.leaves_out(environment=True, local=bool(local))),
         **describe(relighter),
     }
-    if isinstance(relighter.method, Indirect):
-        return summary
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
-    if dropped:
+    if dropped and isinstance(relighter.method, Transport):
         # Under light of root-mean-square radiance 1 over the texels, no row is further off than this.
         worst = max(float(np.sqrt(np.asarray(part).max())) for part in dropped)
         summary["largest_error_for_unit_light"] = worst * (6 * relighter.method.resolution**2) ** 0.5
@@ -77,27 +77,23 @@ def _store(path: pathlib.Path) -> dict:
 
 def _scene(path: pathlib.Path) -> dict:
     from jaxrelight.brdf.material import as_material
-    from jaxrelight.commands.progress import notes
     from jaxrelight.scene.mesh_scene import open_scene
 
     scene = open_scene(path)
     notes(scene.notes)
-    sky, camera = scene.lights.environment, scene.camera
+    sky, camera, meshes = scene.lights.environment, scene.camera, {}
+    for number, part in enumerate(scene.parts):
+        counts = {"vertices": len(part.mesh.vertices), "faces": len(part.mesh.faces)}
+        meshes[f"{number}:{part.name}"] = {**counts, "material": part.material}
     return {
         "kind": "scene",
         "scene": str(path),
-        "meshes": {
-            f"{i}:{part.name}": {
-                "vertices": len(part.mesh.vertices),
-                "faces": len(part.mesh.faces),
-                "material": part.material,
-            }
-            for i, part in enumerate(scene.parts)
-        },
-        "vertices": sum(len(part.mesh.vertices) for part in scene.parts),
+        "meshes": meshes,
+        "vertices": sum(mesh["vertices"] for mesh in meshes.values()),
         "materials": {name: _kind(as_material(surface)) for name, surface in scene.materials.items()},
         "camera": {"width": camera.width, "height": camera.height, "fov_y": camera.fov_y},
         "environment": None if sky is None else {"width": sky.pixels.shape[1], "height": sky.pixels.shape[0]},
+        "lights": len(scene.lights.local),
     }
 
 
@@ -109,7 +105,6 @@ def _kind(material: "Material") -> str:
 
 def _brdf(path: pathlib.Path) -> dict:
     from jaxrelight.brdf.files import load_brdf
-    from jaxrelight.commands.progress import notes
 
     measured = load_brdf(path)
     notes([*measured.notes, *measured.energy_notes()])
@@ -128,16 +123,16 @@ def _image(path: pathlib.Path) -> dict:
     from jaxrelight.images import read_image
 
     pixels = read_image(path)
-    colour = pixels[..., :3]
-    finite = np.isfinite(colour).all(axis=-1)
+    finite = np.isfinite(pixels[..., :3]).all(axis=-1)
+    colours = pixels[finite][:, :3]
     return {
         "kind": "image",
         "image": str(path),
         "width": pixels.shape[1],
         "height": pixels.shape[0],
         "channels": pixels.shape[2],
-        "largest": float(colour[finite].max()) if finite.any() else 0.0,
-        "mean": [float(channel) for channel in colour[finite].mean(axis=0)] if finite.any() else [],
-        "negative_pixels": int((colour[finite] < 0).any(axis=-1).sum()),
-        "not_finite_pixels": int(np.logical_not(finite).sum()),
+        "largest": float(colours.max()) if len(colours) else 0.0,
+        "mean": colours.mean(axis=0).tolist() if len(colours) else [],
+        "negative_pixels": int((colours < 0).any(axis=-1).sum()),
+        "not_finite_pixels": int(np.count_nonzero(~finite)),
     }

@@ -2,16 +2,40 @@
 
 import dataclasses
 import pathlib
+import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from jaxrelight.errors import InputError
 
 if TYPE_CHECKING:
     from jaxrelight.geometry.camera import Camera
     from jaxrelight.lights.lights import Lights
 
-Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
-ScenePath = tyro.conf.Positional[pathlib.Path]
+_SCENE = "A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."
+_MODULES = "A Python module that is imported first, with BRDFs or lights of your own; may be given again."
+ScenePath = Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(help=_SCENE)]
+Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE", help="The picture: .exr, .hdr or .png.")]
+Modules = Annotated[
+    tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="import", metavar="MODULE", help=_MODULES)
+]
+Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object at the end.")]
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Imports modules from the current folder or the path, with classes of BRDFs and lights that a store may name.
+
+    Raises:
+        InputError: for one that cannot be imported.
+    """
+    if names:
+        from jaxrelight.files.class_record import import_classes
+
+        sys.path.insert(0, "")  # the current folder
+        for name in names:
+            import_classes(name)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,19 +64,15 @@ class LightOptions:
         Raises:
             InputError: where there is no light, or options need an environment that is not there.
         """
-        from jaxrelight.errors import InputError
         from jaxrelight.lights.environment import load_environment
         from jaxrelight.lights.lights import Lights
         from jaxrelight.scene.scene import load_lights
 
         environment = default.environment
         if self.env is not None:
+            turn, scale = self.rotate_y or 0.0, 1.0 if self.scale is None else self.scale
             environment = load_environment(
-                self.env,
-                self.rotate_y or 0.0,
-                1.0 if self.scale is None else self.scale,
-                layout=self.layout,
-                zero_nonfinite=self.zero_nonfinite,
+                self.env, turn, scale, layout=self.layout, zero_nonfinite=self.zero_nonfinite
             )
         elif self.layout != "auto":
             raise InputError("--layout says how --env MAP is read; give both, or set 'layout' in the scene")

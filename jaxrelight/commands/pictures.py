@@ -1,102 +1,110 @@
-"""The picture that `render` and `relight` make of a relighter, and what they say of it."""
+"""What commands that light share: they prepare a relighter, make a picture with it, and describe both in a summary."""
 
+import dataclasses
 import pathlib
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from jaxrelight.commands.options import PictureOptions
+import jax
+import numpy as np
 
-if TYPE_CHECKING:
-    from jaxrelight.geometry.camera import Camera
-    from jaxrelight.lighting.contract import Relighter
-    from jaxrelight.lights.lights import Lights
-    from jaxrelight.precomputation.precompute import StoreBuild
+from jaxrelight.command_line import versions
+from jaxrelight.errors import InputError
+from jaxrelight.geometry.camera import Camera
+from jaxrelight.images.false_colour import false_colour
+from jaxrelight.images.files import check_writable, write_image, write_layers
+from jaxrelight.lighting.contract import Image, Relighter
+from jaxrelight.lighting.prepare import prepare_with_build
+from jaxrelight.lights.lights import Lights
+from jaxrelight.methods import Method
+from jaxrelight.progress import Report, notes
+from jaxrelight.scene.scene import Scene
+from jaxrelight.timing import timed
+
+# Stages that trace rays: all of their time under an environment, with gathering where light is local.
+_TRACING = "visibility", "between", "pixels"
 
 
 def check_output(output: pathlib.Path, layers: bool) -> None:
-    """Finds before long work that a picture cannot be written.
-
-    Raises:
-        InputError: for a folder or a kind of file that cannot be, or layers in another file than an EXR.
-    """
-    from jaxrelight.errors import InputError
-    from jaxrelight.images import check_writable
-
+    """Refuses, before long work, a picture that cannot be written, and layers in another file than an EXR."""
     check_writable(output)
     if layers and output.suffix.lower() != ".exr":
         raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
 
 
-def make_picture(
-    relighter: "Relighter",
-    lights: "Lights",
-    camera: "Camera",
-    output: pathlib.Path,
-    picture: PictureOptions,
-    seconds: dict[str, float],
-    *,
-    layers: bool = False,
-    maps: pathlib.Path | None = None,
-    report=None,
-    **view_options: int,
-) -> dict:
-    """Lights what a camera sees, writes the picture, and says what it is.
+def prepared(
+    scene: Scene, method: Method, store: pathlib.Path | None, report: Report, summary: dict, seconds: dict[str, float]
+) -> Relighter:
+    """`prepare`; tells its notes, and adds what was precomputed to the summary and to the seconds."""
+    relighter, build = prepare_with_build(scene, method, store, report)
+    if build is not None:
+        notes(build.notes)
+        seconds.update(build.seconds)
+        tracing = sum(build.seconds.get(stage, 0) for stage in _TRACING)
+        summary |= {
+            "store": str(build.folder),
+            "receivers": build.receivers,
+            "rays": build.rays,
+            "rays_per_second": build.rays / max(tracing, 1e-9),
+            "bytes": build.nbytes,
+        }
+    return relighter
 
-    Args:
-        relighter: of the scene.
-        lights: on it.
-        camera: any that the relighter can view.
-        output: the picture's file.
-        picture: how it is written.
-        seconds: by stage; what is done here is added.
-        layers: write the picture's layers, too.
-        maps: the folder for pictures of what adaptive lighting planned; None for none.
-        report: called with the progress.
-        view_options: what the method's `view` takes beside the camera.
+
+def shaded(
+    relighter: Any, lights: Any, view: Any, seconds: dict[str, float], background: bool = True, **how: Any
+) -> tuple[Image, np.ndarray]:
+    """A view under lights, as `shade` gives it, and its pixels, RGBA, with their background; adds to the seconds.
+
+    `how` is what `shade` takes beside both; or `layers`, for a picture of all its layers.
     """
-    import jax
-    import numpy as np
-
-    from jaxrelight.commands.progress import notes
-    from jaxrelight.images.files import write_image, write_layers
-    from jaxrelight.precomputation.groups import timed
-
-    left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
-    notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
-    with timed(seconds, "view"):
-        view = relighter.view(camera, **view_options)
     with timed(seconds, "light"):
         lit = jax.block_until_ready(relighter.light(lights))
     with timed(seconds, "shade"):
-        image = jax.block_until_ready(relighter.shade(lit, view, report=report))
-        behind = relighter.background(lit, view) if picture.background == "environment" else None
-        rgba = image.rgba(behind)
+        image = relighter.layers(lights, view) if how.pop("layers", False) else relighter.shade(lit, view, **how)
+        return image, image.rgba(relighter.background(lit, view) if background else None)
+
+
+def make_picture(
+    command: Any,
+    relighter: Relighter,
+    lights: Lights,
+    camera: Camera,
+    seconds: dict[str, float],
+    report: Report | None = None,
+    **view_options: int,
+) -> dict:
+    """Writes the picture that `render` or `relight` asks for; the summary of it, and of what lit it.
+
+    `view_options` are what the method's `view` takes beside the camera. What is done is added to the seconds.
+    """
+    with timed(seconds, "view"):
+        view = relighter.view(camera, **view_options)
+    how = {"background": command.picture.background == "environment", "layers": command.layers, "report": report}
+    image, rgba = shaded(relighter, lights, view, seconds, **how)
     with timed(seconds, "write"):
-        if layers:
-            layered: Any = relighter
-            write_layers(
-                output, rgba, {name: np.asarray(of) for name, of in layered.layers(lights, view).layers.items()}
-            )
+        if command.layers:
+            write_layers(command.output, rgba, {name: np.asarray(layer) for name, layer in image.layers.items()})
         else:
-            write_image(output, rgba, picture.exposure)
+            write_image(command.output, rgba, command.picture.exposure)
+    left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
+    notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
     shown = rgba[..., 3] > 0
-    summary = {
-        "picture": str(output),
+    plan = image.measured.get("plan")
+    return {
+        "picture": str(command.output),
         "width": rgba.shape[1],
         "height": rgba.shape[0],
         "covered": float(rgba[..., 3].mean()),
         "mean_radiance": float(rgba[shown][:, :3].mean()) if shown.any() else 0.0,
         "lights": len(lights.local),
         "leaves_out": list(left_out),
+        **({} if plan is None else _describe_plan(plan, view, command.maps)),
+        **describe(relighter),
     }
-    plan = image.measured.get("plan")
-    return summary if plan is None else {**summary, **_describe_plan(plan, view, maps)}
 
 
 def _describe_plan(plan: Any, view: Any, maps: pathlib.Path | None) -> dict:
     """What adaptive lighting did; with pictures of bandwidth, levels, samples and predicted errors, if asked for."""
-    from jaxrelight.images import write_image
-    from jaxrelight.images.false_colour import false_colour
-
     covered = max(view.covered_count(), 1)
     summary: dict[str, Any] = {
         "samples": view.factor**2 * plan.samples / covered,
@@ -112,29 +120,9 @@ def _describe_plan(plan: Any, view: Any, maps: pathlib.Path | None) -> dict:
     return summary
 
 
-def describe(relighter: "Relighter") -> dict:
-    """What a picture was lit with, as a part of a summary."""
-    import dataclasses
-
-    from jaxrelight.commands.summary import versions
-
-    summary: dict[str, Any] = {"settings": dataclasses.asdict(relighter.method), "versions": versions()}
+def describe(relighter: Relighter) -> dict:
+    """What lights, as a part of a summary."""
     transport = getattr(relighter, "transport", None)
-    if transport is None:
-        return summary
-    return {"operator_bytes": transport.operator.nbytes, "kept_energy": transport.kept, **summary}
-
-
-# Stages that trace rays: all of their time under an environment, with gathering where light is local.
-_TRACING = "visibility", "between", "pixels"
-
-
-def describe_build(build: "StoreBuild") -> dict:
-    """What a precomputation did, as a part of a summary."""
-    return {
-        "store": str(build.folder),
-        "receivers": build.receivers,
-        "rays": build.rays,
-        "rays_per_second": build.rays / max(sum(build.seconds.get(stage, 0) for stage in _TRACING), 1e-9),
-        "bytes": build.nbytes,
-    }
+    sizes = {} if transport is None else {"operator_bytes": transport.operator.nbytes, "kept_energy": transport.kept}
+    method = relighter.method
+    return {"lighting": method.name, **sizes, "settings": dataclasses.asdict(method), "versions": versions()}

@@ -2,13 +2,14 @@
 
 import dataclasses
 import pathlib
-import time
 from typing import Annotated, Literal
 
 import tyro
 
 from jaxrelight.commands.dials import method_of
-from jaxrelight.commands.options import ScenePath
+from jaxrelight.commands.options import Json, Modules, ScenePath, import_modules
+from jaxrelight.commands.summary import summary_of
+from jaxrelight.timing import timed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,37 +21,28 @@ class Precompute:
     """
 
     scene: ScenePath
-    """A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."""
     output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o", "--store"], metavar="STORE")] = None
     """The store's folder; by default one in the user's cache folder."""
     lighting: Literal["auto", "transport", "indirect"] = "auto"
-    """'transport' is for an environment; 'indirect' for lights anywhere, whose light surfaces pass on. 'auto' is
-    indirect for a scene with local lights alone, and transport otherwise."""
+    """'transport' is for an environment, and local lights add direct light; 'indirect' is for lights anywhere, whose
+    light surfaces pass on. 'auto' is indirect for a scene with local lights alone, and transport otherwise."""
     zero_nonfinite: bool = False
     """Set NaN and infinite pixels of the environment to 0 instead of refusing it."""
-    json: bool = False
-    """Print one JSON object at the end."""
+    modules: Modules = ()
+    json: Json = False
 
     def run(self) -> None:
         """Runs the command."""
-        start = time.perf_counter()
-        from jaxrelight.commands.progress import notes, progress
-        from jaxrelight.commands.summary import summarize
-        from jaxrelight.precomputation.groups import timed
+        with summary_of("precompute", self.json) as (summary, seconds):
+            with timed(seconds, "imports"):
+                from jaxrelight.commands.pictures import describe, prepared
+                from jaxrelight.progress import notes, progress
+                from jaxrelight.scene.mesh_scene import open_scene
 
-        seconds: dict[str, float] = {}
-        with timed(seconds, "imports"):
-            from jaxrelight.commands.pictures import describe, describe_build
-            from jaxrelight.lighting.prepare import prepare_with_build
-            from jaxrelight.scene.mesh_scene import open_scene
-        method = method_of(self)
-        with timed(seconds, "load"):
-            scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
-        notes(scene.notes)
-        with progress(self.json) as report:
-            relighter, build = prepare_with_build(scene, method, self.output, report)
-        assert build is not None
-        notes(build.notes)
-        seconds |= {**build.seconds, "total": time.perf_counter() - start}
-        named = {"command": "precompute", "lighting": method.name}
-        summarize({**named, **describe_build(build), **describe(relighter), "seconds": seconds}, self.json)
+                import_modules(self.modules)
+            method = method_of(self)
+            with timed(seconds, "load"):
+                scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
+            notes(scene.notes)
+            with progress(self.json) as report:
+                summary |= describe(prepared(scene, method, self.output, report, summary, seconds))

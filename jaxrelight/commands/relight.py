@@ -2,11 +2,13 @@
 
 import dataclasses
 import pathlib
-import time
 
 import tyro
 
-from jaxrelight.commands.options import LightOptions, Output, PictureOptions, ViewOptions
+from jaxrelight.commands.options import Json, LightOptions, Modules, Output, PictureOptions, ViewOptions, import_modules
+from jaxrelight.commands.summary import summary_of
+from jaxrelight.errors import InputError
+from jaxrelight.timing import timed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,7 +18,6 @@ class Relight:
     store: tyro.conf.Positional[pathlib.Path]
     """What `precompute` made."""
     output: Output
-    """The picture: .exr, .hdr or .png."""
     lights: pathlib.Path | None = None
     """A scene file, or one of [[light]] alone, whose local lights take the place of the store's."""
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
@@ -26,38 +27,30 @@ class Relight:
     """Of a store for indirect lighting, samples of direct light along each side of a pixel; by default the store's."""
     layers: bool = False
     """Of a store for indirect lighting, write layers of the .exr, as `render` does."""
-    json: bool = False
-    """Print one JSON object at the end."""
+    modules: Modules = ()
+    json: Json = False
 
     def run(self) -> None:
         """Runs the command."""
-        start = time.perf_counter()
-        from jaxrelight.commands.progress import notes
-        from jaxrelight.commands.summary import summarize
-        from jaxrelight.errors import InputError
-        from jaxrelight.precomputation.groups import timed
+        with summary_of("relight", self.json) as (summary, seconds):
+            with timed(seconds, "imports"):
+                from jaxrelight.commands.pictures import check_output, make_picture
+                from jaxrelight.lighting.prepare import open_store
+                from jaxrelight.progress import notes
 
-        seconds: dict[str, float] = {}
-        with timed(seconds, "imports"):
-            from jaxrelight.commands.pictures import check_output, describe, make_picture
-            from jaxrelight.lighting.prepare import open_store
-        check_output(self.output, self.layers)
-        with timed(seconds, "open"):
-            relighter = open_store(self.store)
-        options = {}
-        if self.layers or self.direct_samples is not None:
-            if relighter.method.name != "indirect":
+                import_modules(self.modules)
+            check_output(self.output, self.layers)
+            with timed(seconds, "open"):
+                relighter = open_store(self.store)
+            if (self.layers or self.direct_samples is not None) and relighter.method.name != "indirect":
                 raise InputError("--layers and --direct-samples are for stores of --lighting indirect; leave them out")
+            options = {}
             if self.direct_samples is not None:
                 dataclasses.replace(relighter.method, direct_samples=self.direct_samples)  # refuses what is none
                 options["direct_samples"] = self.direct_samples
-        camera = self.view.camera(relighter.camera)
-        with timed(seconds, "environment"):
-            lights = self.light.lights(relighter.scene_lights(), relighter.transport.emits, self.lights)
-        notes(lights.notes)
-        summary = make_picture(
-            relighter, lights, camera, self.output, self.picture, seconds, layers=self.layers, **options
-        )
-        seconds["total"] = time.perf_counter() - start
-        named = {"command": "relight", "store": str(self.store)}
-        summarize({**named, **summary, **describe(relighter), "seconds": seconds}, self.json)
+            camera = self.view.camera(relighter.camera)
+            with timed(seconds, "environment"):
+                lights = self.light.lights(relighter.scene_lights(), relighter.transport.emits, self.lights)
+            notes(lights.notes)
+            summary["store"] = str(self.store)
+            summary |= make_picture(self, relighter, lights, camera, seconds, **options)

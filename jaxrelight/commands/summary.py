@@ -1,54 +1,23 @@
-"""What a command says at its end, in words or, with --json, as one JSON object on one line of standard output.
+"""What a command says at its end, in words or as JSON; `notebooks/guide/json.md` documents every key."""
 
-Keys stay what they are from version to version; new ones may come. Numbers are in the unit that the key names, without
-rounding. A command that fails prints nothing on standard output: one line on standard error says why, with or without
---json, and the exit status is 1 (2 for a wrong command line, 130 when it was interrupted).
-
-    command          render, precompute, relight, demo, info
-    versions         of jaxrelight, jax and embreex
-    store            folder
-    settings         the dials it was precomputed with, by the names of the options
-    receivers        vertices, or pixels that see a surface
-    rays             traced by this run; 0 if all was there
-    rays_per_second  of the stages that trace them
-    lighting         transport, indirect or prefiltered
-    seconds          by stage, in the order they came: imports (of libraries), load (the scene), geometry, visibility,
-                     transport, bounce 1 …; open, environment, view, light and shade (with what is compiled), write;
-                     total
-    bytes            on disk, by kind of layer
-    operator_bytes   in memory
-    kept_energy      share of transport energy that the kept coefficients hold, 0 … 1
-
-A picture (render, relight; demo: picture alone):
-
-    picture          file
-    width, height    pixels
-    covered          share of pixels that see a surface, 0 … 1
-    mean_radiance    of those, all channels
-
-Indirect lighting: lights (how many local ones), leaves_out (what the method does not transfer); seconds has cloud,
-between and pixels where it is precomputed.
-
-render --lighting prefiltered: lights (how many), maps_bytes (of the prefiltered environment); seconds has view,
-prefilter, environment and lights.
-
-demo: milliseconds {change_of_view, change_of_light, shading}; error {coefficients, without_worst_5_percent}: relative
-L2 against all coefficients.
-
-info says `kind` first. A store: scene, rows (of the operator), materials {name: terms}, unused_layers (names; may be
-deleted), largest_error_for_unit_light (of any row, under light of root-mean-square radiance 1). A scene: scene (file),
-meshes {number:name: {vertices, faces, material}}, vertices, materials {name: diffuse or glossy}, camera {width, height,
-fov_y}, environment {width, height} or null. An image: image (file), width, height, channels, largest and mean (of the
-finite pixels; mean by channel), negative_pixels, not_finite_pixels. A measured BRDF: brdf (file), format, channels,
-albedo_at_degrees {angle from the normal: share of the light that is reflected, of the brightest channel}.
-"""
-
+import contextlib
 import json
 import shutil
 import sys
 import textwrap
+import time
+from collections.abc import Iterator
 
-_SHARES = "kept_energy", "albedo_at_degrees", "covered", "error", "residual", "held_out", "by_angle", "refined"
+_SHARES = {"kept_energy", "albedo_at_degrees", "covered", "error", "residual", "held_out", "by_angle", "refined"}
+
+
+@contextlib.contextmanager
+def summary_of(command: str, as_json: bool) -> Iterator[tuple[dict, dict[str, float]]]:
+    """A command's summary and its seconds by stage, which are filled in the block; printed where that ends well."""
+    start, entries, seconds = time.perf_counter(), {"command": command}, {}
+    yield entries, seconds
+    seconds["total"] = time.perf_counter() - start
+    summarize({**entries, "seconds": seconds}, as_json)
 
 
 def summarize(summary: dict, as_json: bool) -> None:
@@ -63,13 +32,6 @@ def summarize(summary: dict, as_json: bool) -> None:
             line = f"{name.replace('_', ' '):>16}  {_words(name, value)}"
             wrapped = textwrap.wrap(line, width, subsequent_indent=" " * 18, break_on_hyphens=False)
             print("\n".join(wrapped), flush=True)
-
-
-def versions() -> dict[str, str]:
-    """Of this package and of those that its numbers depend on."""
-    import importlib.metadata
-
-    return {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")}
 
 
 def _words(name: str, value) -> str:

@@ -122,12 +122,15 @@ class Layer:
         return group in self.done
 
     def write(self, group: int, **arrays: np.ndarray):
-        """Writes all arrays of one group.
+        """Writes all arrays of one group; what was computed in another floating type is kept in the layer's.
 
         Raises:
             InputError: if the disk is full or must not be written to; what was written before stays.
         """
         assert arrays.keys() == self.arrays.keys()
+        for name, (_, dtype) in self.arrays.items():
+            if dtype.kind == arrays[name].dtype.kind == "f":
+                arrays[name] = arrays[name].astype(dtype, copy=False)
         assert all(self._fits(name, array) for name, array in arrays.items())
         with _told(self.folder):
             _write(self._path(group), encode_arrays(self._label(group), arrays))

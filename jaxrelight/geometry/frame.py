@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.buckets import filled_up
+from jaxrelight.numerics.numbers import float_dtype
 
 # Points whose frames are made at once.
 _PART = 4096
@@ -37,17 +38,21 @@ def tangent_frame(
 def frames_of_points(
     normals: Float[np.ndarray, "p 3"], tangents: Float[np.ndarray, "p 3"]
 ) -> Float[np.ndarray, "p 3 3"]:
-    """`tangent_frame` of points on the host: in parts of one shape, so that one program serves any number of them."""
-    found = np.empty((len(normals), 3, 3), np.float32)
+    """`tangent_frame` of points on the host: in parts of one shape, so that one program serves any number of them.
+
+    Frames are of the dtype of the points, as JAX is set: float32 unless float64 is enabled.
+    """
+    dtype = float_dtype(normals, tangents)
+    found = np.empty((len(normals), 3, 3), dtype)
     # On the host also where a caller is being traced.
     with jax.ensure_compile_time_eval():
         for start in range(0, len(found), _PART):
             rows = slice(start, start + _PART)
-            frames = tangent_frame(*(filled_up(points[rows], _PART) for points in (normals, tangents)))
+            frames = tangent_frame(*(filled_up(points[rows], _PART, dtype=dtype) for points in (normals, tangents)))
             found[rows] = np.asarray(frames)[: len(found[rows])]
     return found
 
 
 def to_local(frames: Float[np.ndarray, "*p 3 3"], directions: Float[np.ndarray, "*p 3"]) -> Float[np.ndarray, "*p 3"]:
-    """World directions in the frames of their points, on the host."""
-    return np.einsum("...xy,...y->...x", frames, directions.astype(np.float32))
+    """World directions in the frames of their points, on the host, of the frames' dtype."""
+    return np.einsum("...xy,...y->...x", frames, directions.astype(frames.dtype))

@@ -1,7 +1,6 @@
 """What all lighting methods have in common: view, light, trace, shade, and the picture that comes of it."""
 
 import abc
-from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
@@ -13,9 +12,7 @@ from jaxtyping import Array, Float
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Method
-
-# Called with a stage, how much of it is done and how much there is.
-Report = Callable[[str, int, int], None]
+from jaxrelight.progress import Report
 
 
 class Image(eqx.Module):

@@ -10,8 +10,9 @@ from jaxtyping import Array, Float
 
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
+from jaxrelight.errors import InputError
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lighting.shadows import LightGroup, Visibility, unpacked
+from jaxrelight.lighting.shadows import LightGroup, Visibility, sum_over_lights, unpacked
 from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces
 
 # Pixels shaded at a time: what is read and made for them fits a processor's cache.
@@ -37,7 +38,12 @@ def shade_lights(
         groups: the lights.
         visibility: of each group, from `trace_visibility`.
         texels: what is interpolated between the texels of an SBRDF.
+
+    Raises:
+        InputError: for the visibility of other lights.
     """
+    if [len(bits) for bits in visibility] != [len(group.is_real) for group in groups]:
+        raise InputError("what was traced is of other lights; call trace again with the light that is shaded")
     if not groups:
         return None
     rows = []
@@ -81,12 +87,10 @@ def _reflected(radiance, components, pixels: SurfacePixels, positions, lights, b
         )
         return jnp.where(lit, value * omega_i[2] * irradiance * visible, 0)
 
-    @jax.checkpoint
-    def add(total, given):
-        light, bits = given
+    def one_light(light, bits):
         incident = light.at(positions)
         visible = unpacked(bits, start, count, positions.dtype)
         rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, incident.omega_i, incident.irradiance, visible
-        return total + jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH), None
+        return jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
 
-    return jax.lax.scan(add, radiance, (lights, bits))[0]
+    return sum_over_lights(one_light, radiance, lights, bits)

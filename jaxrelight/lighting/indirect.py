@@ -1,5 +1,6 @@
 """Lighting by direct-to-indirect transfer: local lights move, and many bounces follow (Hašan 2006 §3)."""
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -8,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.errors import InputError
@@ -22,6 +24,7 @@ from jaxrelight.lighting.shadows import (
     Visibility,
     all_visible,
     group_lights,
+    sum_over_lights,
     surface_points,
     trace_visibility,
     unpacked,
@@ -35,6 +38,7 @@ from jaxrelight.lights.sky import mean_radiance, nearest_directions, sky_of
 from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.sharded import sharded
 from jaxrelight.transport.model import PrecomputedIndirect, PrecomputedTransport
 
 # Side of the cube map that is as fine as maps of a sky in the cloud are read.
@@ -124,6 +128,17 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         """The scene's own lights, read from the store."""
         return self.precomputed.stored.lights()
 
+    def sharded(self, mesh: Mesh) -> "IndirectRelighter":
+        """The same with the rows of pixels and points spread over the devices of a mesh of one axis.
+
+        Raises:
+            InputError: for another mesh.
+        """
+        cloud = self.precomputed.cloud
+        between = None if cloud.between is None else sharded(cloud.between, mesh)
+        transport = self.precomputed.transport.sharded(mesh)
+        return IndirectRelighter(PrecomputedIndirect(transport, dataclasses.replace(cloud, between=between)))
+
     def view(self, camera: Camera | None = None, direct_samples: int | None = None) -> IndirectView:
         """What the scene's camera sees.
 
@@ -185,7 +200,10 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         return _reflected(irradiance, cloud.albedo if albedo is None else albedo, cloud.emission)
 
     def sky_light(
-        self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y: float = 0.0, scale: float = 1.0
+        self,
+        pixels: Float[Array | np.ndarray, "h w 3"],
+        rotate_y: float | Float[Array, ""] = 0.0,
+        scale: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "g c"]:
         """Radiance of the cloud's directions of the sky under a lat-long map. Pure and differentiable in all three.
 
@@ -320,15 +338,13 @@ def _irradiance(irradiance, points: SurfacePoints, lights, bits):
     count = len(irradiance)
     positions, normals = points.positions[:count], points.normals[:count]
 
-    @jax.checkpoint
-    def add(total, given):
-        light, bits = given
+    def one_light(light, bits):
         incident = light.at(positions)
         cosine = jnp.maximum(jnp.sum(incident.omega_i * normals, axis=1), 0)
         visible = unpacked(bits, jnp.zeros((), jnp.int32), count, normals.dtype)
-        return total + incident.irradiance * (cosine * visible)[:, None], None
+        return incident.irradiance * (cosine * visible)[:, None]
 
-    return jax.lax.scan(add, irradiance, (lights, bits))[0]
+    return sum_over_lights(one_light, irradiance, lights, bits)
 
 
 @jax.jit

@@ -1,7 +1,6 @@
 """From a scene and a lighting method to a relighter, and from a store to one."""
 
 import pathlib
-import time
 
 from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
@@ -16,6 +15,7 @@ from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transpor
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
 from jaxrelight.scene.scene import Scene
+from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
 
 
@@ -57,11 +57,10 @@ def prepare_with_build(
     match method:
         case Transport() | Indirect():
             build = precompute(scene, method, store, report or (lambda stage, done, total: None))
-            started = time.perf_counter()
-            # Of this scene, whatever another process has meanwhile made of the store.
-            precomputed = load(build.folder, build.header, build.geometry)
-            build.seconds["open"] = time.perf_counter() - started
-            return _relighter_of(precomputed), build
+            with timed(build.seconds, "open"):
+                # Of this scene, whatever another process has meanwhile made of the store.
+                relighter = _relighter_of(load(build.folder, build.header, build.geometry))
+            return relighter, build
         case Prefiltered():
             _refuse_store(method, store)
             return _prepare_prefiltered(scene, method), None
@@ -98,12 +97,24 @@ def _refuse_store(method: Method, store: str | pathlib.Path | None):
 
 def _prepare_prefiltered(scene: Scene, method: Prefiltered) -> PrefilteredRelighter:
     materials = _materials(scene, method.minification)
-    return PrefilteredRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+    return PrefilteredRelighter(
+        materials=materials,
+        own_lights=scene.lights,
+        method=method,
+        camera=scene.camera,
+        geometry=_geometry(scene),
+    )
 
 
 def _prepare_adaptive(scene: Scene, method: Adaptive, report: Report | None) -> AdaptiveRelighter:
     materials = sampled_materials(_materials(scene, method.minification), report)
-    return AdaptiveRelighter(materials, scene.lights, method, scene.camera, _geometry(scene))
+    return AdaptiveRelighter(
+        sampled_materials=materials,
+        own_lights=scene.lights,
+        method=method,
+        camera=scene.camera,
+        geometry=_geometry(scene),
+    )
 
 
 def _materials(scene: Scene, minification) -> tuple[SurfaceMaterial, ...]:

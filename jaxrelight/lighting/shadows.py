@@ -1,9 +1,10 @@
 """Shadow rays from surface points to lights. What they find is held fixed in derivatives."""
 
 import collections
+import functools
 import hashlib
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -75,8 +76,10 @@ def surface_points(
     """
     length = bucket(max(len(positions), least), 1024)
     lifted = positions + OFFSET * face_normals
-    arrays = (filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
-    return SurfacePoints(*jax.device_put(tuple(arrays)), as_array(radius, np.float32), tracer)
+    origins, world, shading = jax.device_put(
+        tuple(filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
+    )
+    return SurfacePoints(origins, world, shading, as_array(radius, np.float32), tracer)
 
 
 class LightGroup(eqx.Module):
@@ -84,7 +87,7 @@ class LightGroup(eqx.Module):
 
     Attributes:
         lights: all of them.
-        is_real: which of them are no filling.
+        is_real: which of them are no filling, which reaches nothing.
     """
 
     lights: Punctual
@@ -121,7 +124,12 @@ def _stacked(parts: list[Punctual]) -> LightGroup:
 def all_visible(points: SurfacePoints, groups: Sequence[LightGroup]) -> Visibility:
     """What there is without shadows: every light reaches every point."""
     width = -(-len(points.positions) // 8)
-    return tuple(as_array(np.full((len(group.is_real), width), 255, np.uint8)) for group in groups)
+    return tuple(_everywhere(group.is_real, width) for group in groups)
+
+
+@functools.partial(jax.jit, static_argnames="width")
+def _everywhere(is_real, width: int) -> UInt8[Array, "n b"]:
+    return jnp.broadcast_to(jnp.where(is_real, 255, 0).astype(jnp.uint8)[:, None], (len(is_real), width))
 
 
 def trace_visibility(points: SurfacePoints, groups: Sequence[LightGroup]) -> Visibility:
@@ -161,6 +169,33 @@ def trace_visibility(points: SurfacePoints, groups: Sequence[LightGroup]) -> Vis
 def unpacked(bits: UInt8[Array, " b"], start: Int[Array, ""], count: int, dtype) -> Float[Array, " p"]:
     """Visibility of some points by a light, 1 or 0."""
     return jax.lax.dynamic_slice_in_dim(jnp.unpackbits(bits), start, count).astype(dtype)
+
+
+def sum_over_lights(
+    one: Callable[[Punctual, UInt8[Array, " b"]], Float[Array, "p c"]],
+    others: Float[Array, "p c"],
+    lights: Punctual,
+    bits: UInt8[Array, "n b"],
+) -> Float[Array, "p c"]:
+    """What each light of a group gives, added to what others give, in the precision of both.
+
+    One light at a time, of which nothing is held for derivatives but the light itself. Filling, and lights that reach
+    none of the points, cost nothing.
+
+    Args:
+        one: what a light with its packed visibility gives.
+        others: what others give.
+        lights: of a group.
+        bits: their visibility.
+    """
+    first = jax.eval_shape(one, *jax.tree.map(lambda x: x[0], (lights, bits)))
+    one = jax.checkpoint(one)
+
+    def add(total, given):
+        light, bits = given
+        return jax.lax.cond(jnp.any(bits), lambda: total + one(light, bits), lambda: total), None
+
+    return jax.lax.scan(add, others.astype(jnp.result_type(others, first)), (lights, bits))[0]
 
 
 def _incidents(points: SurfacePoints, group: LightGroup):

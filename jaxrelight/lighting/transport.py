@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
@@ -126,6 +127,14 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         """
         return TransportRelighter(baking.exact(self.transport))
 
+    def sharded(self, mesh: Mesh) -> "TransportRelighter":
+        """The same with its rows spread over the devices of a mesh of one axis, of one process or of many.
+
+        Raises:
+            InputError: for another mesh, or where all coefficients are kept, whose rows are in no operator.
+        """
+        return TransportRelighter(self.transport.sharded(mesh))
+
     def rebake(self, reflections: Sequence[Reflection]) -> "TransportRelighter":
         """The same with another reflection for each block, without a new ray; differentiable in the reflections.
 
@@ -152,7 +161,10 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return _traced_view(self.transport, self.materials, camera)
 
     def light_vector(
-        self, pixels: Float[Array | np.ndarray, "h w 3"], rotate_y: float = 0.0, scale: float = 1.0
+        self,
+        pixels: Float[Array | np.ndarray, "h w 3"],
+        rotate_y: float | Float[Array, ""] = 0.0,
+        scale: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "d c"]:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         height, width = pixels.shape[:2]

@@ -93,7 +93,6 @@ class VisibleSurfaces(eqx.Module):
     """What a camera sees, ready to be lit again and again.
 
     Attributes:
-        camera: that sees it.
         parts: the pixels of each material that is seen.
         points: where light arrives, part by part.
         place: see `assembled`.
@@ -102,7 +101,6 @@ class VisibleSurfaces(eqx.Module):
         v: the same, downwards.
     """
 
-    camera: Camera = eqx.field(static=True)
     parts: tuple[SurfacePart, ...]
     points: SurfacePoints
     place: Int[Array, " n"]
@@ -200,7 +198,7 @@ def trace_view(
     u, v = latlong.coordinates(gbuffer.directions)
     u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
     place = places([part.pixels for part in parts], gbuffer.covered.size)
-    return VisibleSurfaces(camera, tuple(parts), points, place, covered, u, v), gbuffer
+    return VisibleSurfaces(tuple(parts), points, place, covered, u, v), gbuffer
 
 
 def with_samples(camera: Camera, along: int) -> Camera:

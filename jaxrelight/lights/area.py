@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import Incident, Light, Punctual, from_point, power, vector
+from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Numbers, Vector, float_dtype, holds
 
 
 class Patch(Punctual):
@@ -54,7 +56,8 @@ class Area(Light):
         """Patches of equal size."""
         across = jnp.cross(self.u, self.v)
         area = jnp.sqrt(jnp.sum(across**2))
-        steps = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+        # Numbers of Python, which leave the type to the arrays.
+        steps = ((np.arange(self.samples) + 0.5) / self.samples - 0.5).tolist()
         return [
             Patch(self.centre + a * self.u + b * self.v, across / area, self.radiance * area / self.samples**2)
             for a in steps
@@ -62,15 +65,24 @@ class Area(Light):
         ]
 
 
-def area(centre, u, v, radiance, samples: int = 4) -> Area:
-    """A rectangle, or any parallelogram, of edges u and v; its shadows are those of samples² points.
+def area(centre: Vector, u: Vector, v: Vector, radiance: Numbers, samples: int = 4) -> Area:
+    """A rectangle, or any parallelogram; numbers and their type as of `point`.
+
+    Args:
+        centre: in world units.
+        u: one of its edges.
+        v: the other.
+        radiance: one number or one for each channel.
+        samples: its shadows are those of samples² points.
 
     Raises:
         InputError: for edges along each other, samples outside 1 … 64, or numbers as `point` refuses.
     """
-    edges = vector("u", u), vector("v", v)
-    if np.linalg.norm(np.cross(*edges)) <= 1e-6 * np.linalg.norm(edges[0]) * np.linalg.norm(edges[1]):
+    dtype = float_dtype(centre, u, v, radiance)
+    edges = vector("u", u, dtype), vector("v", v, dtype)
+    if not holds(lambda u, v: np.linalg.norm(np.cross(u, v)) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v), *edges):
         raise InputError("an area light's edges u and v lie along each other, or are 0; give it a surface")
     if not (isinstance(samples, int) and 1 <= samples <= 64):
         raise InputError(f"an area light's samples along an edge must be from 1 to 64, not {samples!r}")
-    return Area(vector("centre", centre), *edges, power("radiance", radiance), samples)
+    middle, emitted = vector("centre", centre, dtype), power("radiance", radiance, dtype)
+    return Area(*(as_array(each) for each in (middle, *edges, emitted)), samples=samples)

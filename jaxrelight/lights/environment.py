@@ -82,7 +82,7 @@ class Environment(eqx.Module):
 
 
 def _check_placement(rotate_y: float | Float[Array, ""], scale: float | Float[Array, ""]):
-    numbers = [number for number in (rotate_y, scale) if not isinstance(number, Tracer)]
+    numbers = [np.asarray(number) for number in (rotate_y, scale) if not isinstance(number, Tracer)]
     if not np.all(np.isfinite(numbers)) or not (isinstance(scale, Tracer) or scale >= 0):
         raise InputError("the environment: rotate_y must be finite and scale finite and not negative")
 
@@ -121,7 +121,7 @@ def environment(
 def _checked(pixels, name: str, zero_nonfinite: bool) -> tuple[np.ndarray, list[str]]:
     """Pixels of three channels, finite and not negative, and what was mended."""
     pixels = np.asarray(pixels)
-    if pixels.dtype != np.float64 or not jax.config.jax_enable_x64:
+    if pixels.dtype != np.float64 or jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float32, copy=False)
     if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4):

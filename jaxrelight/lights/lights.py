@@ -26,7 +26,7 @@ class Lights(eqx.Module):
         Raises:
             InputError: where both have an environment.
         """
-        return as_lights((self, other))
+        return as_lights([self, as_lights(other)])
 
     def __bool__(self) -> bool:
         """Whether there is any light."""

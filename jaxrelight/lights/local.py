@@ -2,17 +2,28 @@
 
 import abc
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from jaxrelight.errors import InputError
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import (
+    Number,
+    Numbers,
+    Vector,
+    as_numbers,
+    float_dtype,
+    holds,
+    module_of,
+    shown,
+)
 
 
 class Incident(NamedTuple):
@@ -107,42 +118,68 @@ class Directional(Punctual):
         return Incident(towards, jnp.full(positions.shape[:1], jnp.inf, positions.dtype), irradiance)
 
 
-def point(position, intensity) -> Point:
-    """A point light; intensity one number or one for each channel.
+def point(position: Vector, intensity: Numbers) -> Point:
+    """A point light. Differentiable; numbers of this and of all other lights may be traced.
+
+    The light has the floating type of the arrays given, or JAX's own for numbers of Python.
+
+    Args:
+        position: in world units.
+        intensity: in W/sr, one number or one for each channel.
 
     Raises:
-        InputError: for numbers that are not finite or negative intensities.
+        InputError: for numbers that are not finite, negative intensities, or other shapes.
     """
-    return Point(vector("position", position), power("intensity", intensity))
+    dtype = float_dtype(position, intensity)
+    return Point(as_array(vector("position", position, dtype)), power("intensity", intensity, dtype))
 
 
-def spot(position, target, intensity, cutoff: float, beam: float | None = None) -> Spot:
-    """A spot light; without a beam, three quarters of the cutoff.
+def spot(position: Vector, target: Vector, intensity: Numbers, cutoff: Number, beam: Number | None = None) -> Spot:
+    """A spot light; numbers and their type as of `point`.
+
+    Args:
+        position: in world units.
+        target: a point that its axis goes through.
+        intensity: in W/sr along the axis, one number or one for each channel.
+        cutoff: degrees from the axis to where there is no light.
+        beam: degrees from the axis up to which there is all of it; by default three quarters of the cutoff.
 
     Raises:
         InputError: for a target at the position, angles that are not 0 ≤ beam ≤ cutoff ≤ 180 with cutoff > 0, or
             numbers as `point` refuses.
     """
     beam = 0.75 * cutoff if beam is None else beam
-    if not (np.isfinite([cutoff, beam]).all() and 0 <= beam <= cutoff <= 180 and cutoff > 0):
-        raise InputError(f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {beam:g} and cutoff {cutoff:g}")
-    position, target = vector("position", position), vector("target", target)
-    if (position == target).all():
+    dtype = float_dtype(position, target, intensity, cutoff, beam)
+    inner, outer = as_numbers(beam), as_numbers(cutoff)
+    sound = inner.ndim == outer.ndim == 0
+    sound = sound and holds(lambda inner: inner >= 0, inner)
+    sound = sound and holds(lambda outer: (outer > 0) & (outer <= 180), outer)
+    if not (sound and holds(lambda inner, outer: inner <= outer, inner, outer)):
+        raise InputError(
+            f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {shown(beam)} and cutoff {shown(cutoff)}"
+        )
+    place, aim = vector("position", position, dtype), vector("target", target, dtype)
+    if not holds(lambda place, aim: (place != aim).any(), place, aim):
         raise InputError("a spot's target is where it stands; give it another")
-    angles = (as_array(angle, jnp.float32) for angle in (cutoff, beam))
-    return Spot(position, target, power("intensity", intensity), *angles)
+    placed, angles = (as_array(place), as_array(aim)), (as_array(outer, dtype), as_array(inner, dtype))
+    return Spot(*placed, power("intensity", intensity, dtype), *angles)
 
 
-def directional(direction, irradiance) -> Directional:
-    """A distant light that travels along `direction`.
+def directional(direction: Vector, irradiance: Numbers) -> Directional:
+    """A distant light; numbers and their type as of `point`.
+
+    Args:
+        direction: along which its light travels, of any length.
+        irradiance: on a surface across it, one number or one for each channel.
 
     Raises:
         InputError: for the zero vector, or numbers as `point` refuses.
     """
-    direction = vector("direction", direction)
-    if not direction.any():
+    dtype = float_dtype(direction, irradiance)
+    along = vector("direction", direction, dtype)
+    if not holds(lambda along: along.any(), along):
         raise InputError("a directional light's direction is the zero vector; say where its light goes")
-    return Directional(direction, power("irradiance", irradiance))
+    return Directional(as_array(along), power("irradiance", irradiance, dtype))
 
 
 def from_point(
@@ -164,17 +201,25 @@ def frame_towards(place: Float[Array, "3"], target: Float[Array, "3"], up: Float
     return jnp.stack([right, jnp.cross(right, forward), forward])
 
 
-def vector(name: str, values) -> Float[Array, "3"]:
-    """Three finite numbers; anything else is refused by name."""
-    array = np.asarray(values, float)
-    if array.shape != (3,) or not np.isfinite(array).all():
-        raise InputError(f"{name} must be three finite numbers, not {values!r}")
-    return as_array(array, jnp.float32)
+def vector(name: str, values: Vector, dtype: DTypeLike) -> Any:
+    """Three finite numbers, on the host where they are known, else of JAX.
+
+    Raises:
+        InputError: for anything else, by its name.
+    """
+    numbers = as_numbers(values)
+    if numbers.shape != (3,) or not holds(np.isfinite, numbers):
+        raise InputError(f"{name} must be three finite numbers, not {shown(values)}")
+    return numbers.astype(dtype)
 
 
-def power(name: str, values) -> Float[Array, "3"]:
-    """A number for each channel, finite and not negative, from one or three."""
-    array = np.asarray(values, float)
-    if array.shape not in ((), (3,)) or not np.isfinite(array).all() or (array < 0).any():
-        raise InputError(f"{name} must be one number or three, finite and not negative, not {values!r}")
-    return as_array(np.broadcast_to(array, (3,)), jnp.float32)
+def power(name: str, values: Numbers, dtype: DTypeLike | None = None) -> Float[Array, "3"]:
+    """A number for each channel, finite and not negative, from one or three.
+
+    Raises:
+        InputError: for anything else, by its name.
+    """
+    numbers = as_numbers(values)
+    if numbers.shape not in ((), (3,)) or not holds(lambda numbers: np.isfinite(numbers) & (numbers >= 0), numbers):
+        raise InputError(f"{name} must be one number or three, finite and not negative, not {shown(values)}")
+    return as_array(module_of(numbers).broadcast_to(numbers, (3,)), float_dtype(values) if dtype is None else dtype)

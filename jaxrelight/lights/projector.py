@@ -1,5 +1,7 @@
 """A light that throws an image, as a slide projector does (Hašan 2006 §6)."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from jaxtyping import Array, Float
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, vector
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Number, Vector, as_numbers, float_dtype, holds, shown
 
 
 class Projector(Punctual):
@@ -48,33 +51,56 @@ class Projector(Punctual):
         return found._replace(irradiance=irradiance, within=inside)
 
 
-def projector(position, target, image, fov_y: float, up=(0.0, 1.0, 0.0)) -> Projector:
-    """A projector of an image of intensities [h, w, 3].
+def projector(
+    position: Vector,
+    target: Vector,
+    image: Float[Array | np.ndarray, "h w 3"] | Sequence,
+    fov_y: Number,
+    up: Vector = (0.0, 1.0, 0.0),
+) -> Projector:
+    """A projector of an image of intensities; numbers and their type as of `point`.
+
+    Args:
+        position: of the lens, in world units.
+        target: a point that the image's centre falls on.
+        image: intensities in W/sr, the top row first.
+        fov_y: degrees from its lower to its upper edge.
+        up: the direction that is upwards in the image.
 
     Raises:
         InputError: for an image that is none, is not finite or is negative, an angle outside 0 … 180, a target at the
             position, or `up` along the way to it.
     """
-    pixels = np.asarray(image, float)
+    dtype = float_dtype(position, target, image, fov_y, up)
+    pixels, angle = as_numbers(image), as_numbers(fov_y)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size:
         raise InputError(f"a projector's image must be [h, w, 3], not {list(pixels.shape)}")
-    if not np.isfinite(pixels).all() or (pixels < 0).any():
+    if not holds(lambda pixels: np.isfinite(pixels) & (pixels >= 0), pixels):
         raise InputError("a projector's image must be finite and not negative")
-    if not 0 < fov_y < 180:
-        raise InputError(f"a projector's fov_y must lie between 0 and 180 degrees, not {fov_y:g}")
-    placed = vector("position", position), vector("target", target), vector("up", up)
+    if angle.ndim != 0 or not holds(lambda angle: (angle > 0) & (angle < 180), angle):
+        raise InputError(f"a projector's fov_y must lie between 0 and 180 degrees, not {shown(fov_y)}")
+    placed = vector("position", position, dtype), vector("target", target, dtype), vector("up", up, dtype)
     check_frame("a projector", *placed)
-    return Projector(*placed, as_array(fov_y, jnp.float32), as_array(pixels, jnp.float32))
+    return Projector(*(as_array(each, dtype) for each in (*placed, angle, pixels)))
 
 
-def check_frame(what: str, position, target, up):
-    """Refuses a light that does not know where it looks, or which way is up.
+def check_frame(
+    what: str,
+    position: Float[Array | np.ndarray, "3"],
+    target: Float[Array | np.ndarray, "3"],
+    up: Float[Array | np.ndarray, "3"],
+):
+    """Refuses a light that does not know where it looks, or which way is up, as far as that is known.
 
     Raises:
         InputError: naming it.
     """
-    forward = np.subtract(target, position)
-    if not forward.any():
+    if not holds(lambda position, target: (target != position).any(), position, target):
         raise InputError(f"{what}'s target is where it stands; give it another")
-    if np.linalg.norm(np.cross(forward, up)) <= 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
+
+    def is_aside(position: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.bool_:
+        forward = target - position
+        return np.linalg.norm(np.cross(forward, up)) > 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up)
+
+    if not holds(is_aside, position, target, up):
         raise InputError(f"{what}'s up is along the way to its target; give it another")

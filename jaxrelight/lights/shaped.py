@@ -1,6 +1,8 @@
 """A light with the controls of film lighting: its shape, its edges, and how far it reaches (Barzel 1997)."""
 
 import itertools
+import math
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,10 @@ from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_poin
 from jaxrelight.lights.projector import check_frame
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import Number, Numbers, Vector, as_numbers, float_dtype, holds, module_of, shown
+
+# Two distances.
+Pair = Float[Array | np.ndarray, "2"] | Sequence[float | Array]
 
 
 class Shaped(Punctual):
@@ -81,41 +87,76 @@ def _between(distance: Float[Array, " p"], ends: Float[Array, "2"]) -> Float[Arr
 
 
 def shaped(
-    position,
-    target,
-    intensity,
-    inner,
-    outer=None,
+    position: Vector,
+    target: Vector,
+    intensity: Numbers,
+    inner: Numbers,
+    outer: Numbers | None = None,
     *,
-    up=(0.0, 1.0, 0.0),
-    roundness: float = 1.0,
-    near=(0.0, 0.0),
-    far=(np.inf, np.inf),
-    falloff: float = 2.0,
-    reference: float = 1.0,
+    up: Vector = (0.0, 1.0, 0.0),
+    roundness: Number = 1.0,
+    near: Pair = (0.0, 0.0),
+    far: Pair = (math.inf, math.inf),
+    falloff: Number = 2.0,
+    reference: Number = 1.0,
 ) -> Shaped:
-    """A shaped light; angles are one number, or two: across and upwards. Without an outer shape the edge is hard.
+    """A shaped light, see `Shaped`; numbers and their type as of `point`.
+
+    Args:
+        position: in world units.
+        target: a point that its axis goes through.
+        intensity: in W/sr, one number or one for each channel.
+        inner: degrees from the axis to the sides of the shape that has all the light: one number, or two, across and
+            upwards.
+        outer: the same of the shape beyond which there is none; by default the inner one, which makes the edge hard.
+        up: the direction of the beam's height.
+        roundness: 1 for ellipses, towards 0 for rectangles.
+        near: distances at which light begins, and is whole.
+        far: distances up to which it is whole, and at which it ends.
+        falloff: exponent of the distance.
+        reference: distance at which all exponents give the same light.
 
     Raises:
         InputError: for shapes that are not 0 < inner ≤ outer < 90, a roundness outside 0 … 1, distances that do not
             grow, a falloff below 0, a reference that is no distance, or numbers as `point` refuses.
     """
     outer = inner if outer is None else outer
-    shapes = [np.broadcast_to(np.asarray(angles, float), 2) for angles in (inner, outer)]
-    if not (np.isfinite(shapes).all() and (shapes[0] > 0).all() and (shapes[0] <= shapes[1]).all()):
-        raise InputError(f"a shaped light's angles must be 0 < inner ≤ outer < 90, not {inner} and {outer}")
-    if (shapes[1] >= 90).any():
-        raise InputError(f"a shaped light's angles must be below 90 degrees, not {outer}")
-    if not 0 <= roundness <= 1:
-        raise InputError(f"a shaped light's roundness must be from 0, a rectangle, to 1, an ellipse, not {roundness:g}")
-    distances = [0.0, *near, *far]
-    if len(distances) != 5 or not all(a <= b for a, b in itertools.pairwise(distances)):
-        raise InputError(f"a shaped light's distances must grow: near {list(near)}, then far {list(far)}")
-    if not (np.isfinite(falloff) and falloff >= 0):
-        raise InputError(f"a shaped light's falloff must be 0 or more, not {falloff:g}")
-    if not (np.isfinite(reference) and reference > 0):
-        raise InputError(f"a shaped light's reference must be a distance above 0, not {reference:g}")
-    placed = vector("position", position), vector("target", target), vector("up", up)
+    dtype = float_dtype(position, target, intensity, inner, outer, up, roundness, near, far, falloff, reference)
+    shapes = [as_numbers(angles) for angles in (inner, outer)]
+    sound = all(angles.shape in ((), (2,)) and holds(_is_positive, angles) for angles in shapes)
+    if not (sound and holds(lambda inner, outer: inner <= outer, *shapes)):
+        raise InputError(
+            f"a shaped light's angles must be 0 < inner ≤ outer < 90, not {shown(inner)} and {shown(outer)}"
+        )
+    if not holds(lambda outer: outer < 90, shapes[1]):
+        raise InputError(f"a shaped light's angles must be below 90 degrees, not {shown(outer)}")
+    if not _is_one(roundness, lambda roundness: (roundness >= 0) & (roundness <= 1)):
+        raise InputError(
+            f"a shaped light's roundness must be from 0, a rectangle, to 1, an ellipse, not {shown(roundness)}"
+        )
+    distances = [as_numbers(ends) for ends in (near, far)]
+    grow = all(ends.shape == (2,) for ends in distances) and all(
+        holds(lambda nearer, farther: nearer <= farther, *pair) for pair in itertools.pairwise([0.0, *near, *far])
+    )
+    if not grow:
+        raise InputError(f"a shaped light's distances must grow: near {shown(near)}, then far {shown(far)}")
+    if not _is_one(falloff, lambda falloff: (falloff >= 0) & (falloff < np.inf)):
+        raise InputError(f"a shaped light's falloff must be 0 or more, not {shown(falloff)}")
+    if not _is_one(reference, _is_positive):
+        raise InputError(f"a shaped light's reference must be a distance above 0, not {shown(reference)}")
+    placed = vector("position", position, dtype), vector("target", target, dtype), vector("up", up, dtype)
     check_frame("a shaped light", *placed)
-    numbers = (*shapes, roundness, near, far, falloff, reference)
-    return Shaped(*placed, power("intensity", intensity), *(as_array(value, jnp.float32) for value in numbers))
+    whole = [module_of(angles).broadcast_to(angles, (2,)) for angles in shapes]
+    emitted = power("intensity", intensity, dtype)
+    numbers = (*whole, as_numbers(roundness), *distances, as_numbers(falloff), as_numbers(reference))
+    return Shaped(*(as_array(each, dtype) for each in (*placed, emitted, *numbers)))
+
+
+def _is_positive(numbers: np.ndarray) -> np.ndarray:
+    return (numbers > 0) & (numbers < np.inf)
+
+
+def _is_one(value: Number, condition: Callable[[np.ndarray], np.ndarray]) -> bool:
+    """Whether it is a single number, and meets a condition where it is known."""
+    number = as_numbers(value)
+    return number.ndim == 0 and holds(condition, number)

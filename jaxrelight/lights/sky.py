@@ -1,6 +1,7 @@
 """Light of a whole sky, by directions to it, each with shadows (Hašan 2006 §6)."""
 
 import functools
+import math
 from collections.abc import Sequence
 
 import jax
@@ -69,6 +70,9 @@ def sky_of(environment: Environment, samples: int = 256) -> Sky:
     """
     _check(samples)
     pixels = coarsened(environment.pixels, 64)
+    # Pixels are cut where there are enough directions: one for a large pixel would light what it does not face.
+    cut = math.isqrt(max(1, samples // math.prod(pixels.shape[:2])))
+    pixels = pixels.repeat(cut, axis=0).repeat(cut, axis=1) if cut > 1 else pixels
     shares = _shares(jax.lax.stop_gradient(pixels), samples)
     given = pixels, environment.rotate_y, environment.scale
     if is_traced(given):

@@ -43,14 +43,17 @@ class Split(NamedTuple):
 def split_sun(texels: Float[Array, "d c"]) -> Split:
     """Takes the sun off a light: rest + sun is the light. Pure; where there is no sun, nothing is taken.
 
+    Differentiable, what is taken and from where held fixed.
+
     What compressed rows leave out is an error that grows with the light's coefficients, and a sun's are as large in
     fine levels as in coarse ones.
 
     Args:
         texels: radiance of d > 16 texels of a cube map.
     """
-    largest = jnp.max(jnp.abs(texels))
-    scaled = texels / jnp.where(largest > 0, largest, 1)
+    known = jax.lax.stop_gradient(texels)
+    largest = jnp.max(jnp.abs(known))
+    scaled = known / jnp.where(largest > 0, largest, 1)
     energy = jnp.sum(jnp.square(scaled), axis=1)
     top, index = jax.lax.top_k(energy, MOST + 1)
     limit, top, index = top[-1], top[:-1], index[:-1]
@@ -58,15 +61,18 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     is_sun = jnp.sum(jnp.where(bright, top, 0)) >= SHARE * jnp.sum(energy)
     stays = jnp.where(bright & is_sun, jnp.sqrt(limit / jnp.where(bright, top, 1)), 1.0)[:, None]
     # A product, not a difference: exactly 0 where all stays, however XLA may round.
-    return Split(texels.at[index].multiply(stays), index, texels[index] * (1 - stays))
+    rest = texels.at[index].multiply(stays, unique_indices=True)
+    return Split(rest, index, texels[index] * (1 - stays))
 
 
 def without_sun(pixels: Float[Array | np.ndarray, "h w 3"]) -> tuple[Float[Array, "h w 3"], Sky]:
-    """A lat-long map without its sun, and the sun as directions; none of them carries light where there is no sun.
+    """A lat-long map without its sun, and the sun as 64 directions.
+
+    Few of those carry light, and none does where there is no sun: light of all maps is of one structure.
 
     It is looked for in ever coarser cube maps, as a fine map's sun has more than a few pixels: each cell that outshines
     all others gives what it has above them. A cell is one direction where it is smaller than a sun, and several beside
-    each other in coarse maps, for soft shadows. Where pixels are known, directions without light are left out.
+    each other in coarse maps, for soft shadows.
 
     Linear in the pixels and differentiable, what is taken and from where held fixed.
 
@@ -77,8 +83,9 @@ def without_sun(pixels: Float[Array | np.ndarray, "h w 3"]) -> tuple[Float[Array
     if not is_traced(known):
         taken = _find_sun(np.asarray(known))
         if taken is None:
-            return as_array(pixels), Sky(*(as_array(np.zeros((0, 3)), pixels.dtype) for _ in range(2)))
-        return _split(as_array(pixels), *map(as_array, taken.cut()))
+            directions = _Taken.nothing(1, 1).directions
+            return as_array(pixels), Sky(*(as_array(x, pixels.dtype) for x in (directions, 0 * directions)))
+        return _split(as_array(pixels), *map(as_array, taken))
     h, w = pixels.shape[:2]
     shapes = (h, w), (h, w), (_MOST_DIRECTIONS, 3), (_MOST_DIRECTIONS,), (_MOST_DIRECTIONS,)
     dtypes = pixels.dtype, np.int32, pixels.dtype, np.int32, pixels.dtype
@@ -114,11 +121,6 @@ class _Taken(NamedTuple):
         n = _MOST_DIRECTIONS
         directions = np.tile([0.0, 1, 0], (n, 1))
         return cls(np.ones((h, w)), np.full((h, w), n), directions, np.zeros(n, int), np.zeros(n))
-
-    def cut(self) -> "_Taken":
-        """Without padding, and in single precision unless JAX is set for double."""
-        real = self.share > 0
-        return _Taken(self.stays, self.slot, self.directions[real], self.source[real], self.share[real])
 
 
 def _find_sun(pixels: Float[np.ndarray, "h w 3"]) -> _Taken | None:

@@ -1,6 +1,7 @@
 """Array lengths rounded up to one of few, so that another mesh of about the same size compiles nothing new."""
 
 import numpy as np
+from jax.typing import DTypeLike
 
 
 def bucket(count: int, least: int, steps: int = 8) -> int:
@@ -23,11 +24,11 @@ def image_bucket(length: int) -> int:
     return bucket(length, 256) if length > 256 else max(64, -(-length // 32) * 32)
 
 
-def filled_up(rows: np.ndarray, length: int, fill: int = 0) -> np.ndarray:
-    """An array in single precision, followed by rows of `fill` up to a length.
+def filled_up(rows: np.ndarray, length: int, fill: int = 0, dtype: DTypeLike = np.float32) -> np.ndarray:
+    """An array of whole numbers, or of a floating type, followed by rows of `fill` up to a length.
 
     NumPy's, so that nothing is compiled to put them in place.
     """
-    wider = np.full((length, *rows.shape[1:]), fill, np.int32 if rows.dtype.kind == "i" else np.float32)
+    wider = np.full((length, *rows.shape[1:]), fill, np.int32 if rows.dtype.kind == "i" else dtype)
     wider[: len(rows)] = rows
     return wider

@@ -13,7 +13,7 @@ import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Operator
-from jaxrelight.operators.quantised import Quantised, decoded, quantised
+from jaxrelight.operators.quantised import Quantised, decoded, decoded_type, quantised
 from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type
 
 # Numbers that buckets may be filled up with to have one bucket less: reading them takes as long as what it costs.
@@ -123,23 +123,24 @@ class Clustered(Operator):
         return found
 
     @jax.jit
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row: per group one gather of light and two small products."""
-        channels = self._channels_of(light)
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """Per group one gather of light and two small products."""
+        channels = light.shape[1]
         nothing = jnp.zeros((1, self.group_rows, channels), light.dtype)
         mixed = jnp.concatenate([*(_by_channel(part, light) for part in self.buckets), nothing])
         return mixed.at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
 
     @jax.jit
-    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Radiance of every row under each light: products of matrices, a few groups at a time, to stay in cache.
+    def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Products of matrices, a few groups at a time, to stay in cache.
 
         Light is multiplied with the shared rows in all channels at once, and with the weights in each.
         """
-        n, channels = len(lights), self._channels_of(lights)
+        n, _, channels = lights.shape
         # Of every column, one run of numbers to be gathered: channels c, lights n.
         side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, channels * n)
-        out = jnp.zeros((n, len(self.place), self.group_rows, channels), lights.dtype)
+        dtype = jnp.result_type(lights, self._dtype)
+        out = jnp.zeros((n, len(self.place), self.group_rows, channels), dtype)
         for part in self.buckets:
             b = len(part.groups)
             few = min(_TOGETHER, b)
@@ -156,16 +157,15 @@ class Clustered(Operator):
             out, _ = jax.lax.scan(some, out, np.minimum(np.arange(0, b, few), b - few).astype(np.int32))
         return out.reshape(n, -1, channels)
 
-    def _channels_of(self, light: Float[Array, "... d c"]) -> int:
-        """Those of light, which the operator's must fit."""
-        channels = light.shape[-1]
-        if self.channels not in (1, channels):
-            raise ValueError(f"light has {channels} channels, the operator {self.channels}")
-        return channels
+    @property
+    def _dtype(self) -> np.dtype:
+        """The precision of rows; single where no group holds anything."""
+        numbers = [decoded_type(array) for part in self.buckets for array in (part.basis, part.weights)]
+        return jnp.result_type(*numbers) if numbers else np.dtype(np.float32)
 
     @jax.jit
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint: the two products the other way round; every column is a sum over its holders.
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """The two products the other way round; every column is a sum over its holders.
 
         That sum is in parallel, and as accurate as any; a scatter from the supports is neither.
         """
@@ -189,11 +189,10 @@ class Clustered(Operator):
         return jnp.concatenate(sums).at[self.column_place].get(mode="promise_in_bounds")
 
     @jax.jit
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows, zero off their group's coefficients. Looks into every bucket for every row."""
-        indices = jnp.asarray(indices)
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """Rows are zero off their group's coefficients. Looks into every bucket for every row."""
         place, row = self.place[indices // self.group_rows], indices % self.group_rows
-        out, start = jnp.zeros((len(indices), self.channels, self.columns)), 0
+        out, start = jnp.zeros((len(indices), self.channels, self.columns), self._dtype), 0
         for part in self.buckets:
             b = len(part.groups)
             mine, i = (place >= start) & (place < start + b), jnp.clip(place - start, 0, b - 1)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import bucket
 from jaxrelight.operators.clustered import Cluster
+from jaxrelight.operators.contract import check_light
 from jaxrelight.operators.quantised import Quantised, quantised
 
 # Blocks of a group that are added up at once: what is left over is filled up with blocks of nothing.
@@ -60,7 +61,11 @@ class ColumnBlocks:
             light: coefficients.
             culling: ε: a block is left out where what it would add, |light| times its size, is less than this times
                 the root-mean-square over all blocks.
+
+        Raises:
+            ValueError: for light of another shape than the operator takes.
         """
+        check_light(light, self.shape)
         strength = np.abs(np.asarray(light)).max(axis=1)
         added = strength[self._support] * self._size[:-1]
         chosen = np.arange(self.count)
@@ -88,7 +93,14 @@ class ColumnBlocks:
 
 
 @eqx.filter_jit
-def _added(tiles: Quantised, light, few: Int[Array, "b t"], column, group, shape: tuple[int, int, int]):
+def _added(
+    tiles: Quantised,
+    light: Float[Array, "d c"],
+    few: Int[Array, "b t"],
+    column: Int[Array, "b t"],
+    group: Int[Array, " b"],
+    shape: tuple[int, int, int],
+) -> Float[Array, "r c"]:
     r, _, channels = shape
     factors = light.at[column].get(mode="promise_in_bounds") * tiles.scale[few]
     width = tiles.codes.shape[1] // channels

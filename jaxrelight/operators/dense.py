@@ -24,16 +24,13 @@ class Dense(Operator):
         return self.matrix.nbytes
 
     @jax.jit
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         return jnp.einsum("rcd,dc->rc", self.matrix, light, precision="highest")
 
     @jax.jit
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         return jnp.einsum("rcd,rc->dc", self.matrix, radiance, precision="highest")
 
     @jax.jit
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows."""
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
         return self.matrix[indices]

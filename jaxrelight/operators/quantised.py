@@ -42,6 +42,11 @@ def decoded(values: Float[Array, "... n"] | Quantised) -> Float[Array, "... n"]:
     return values.decoded() if isinstance(values, Quantised) else values
 
 
+def decoded_type(values: Float[Array, "... n"] | Quantised) -> np.dtype:
+    """The precision of what `decoded` gives."""
+    return values.scale.dtype if isinstance(values, Quantised) else values.dtype
+
+
 def quantised(values: Float[Array | np.ndarray, "... n"], bits: int, run: int | None = None) -> Quantised:
     """Numbers in steps of scale = max|values| / (2^(bits − 1) − 1) over a run, rounded to the nearest.
 
@@ -62,7 +67,7 @@ def quantised(values: Float[Array | np.ndarray, "... n"], bits: int, run: int | 
     return _quantised(values, bits, run) if isinstance(values, np.ndarray) else _compiled(values, bits, run)
 
 
-def _quantised(values, bits: int, run: int | None) -> Quantised:
+def _quantised(values: Float[Array | np.ndarray, "... n"], bits: int, run: int | None) -> Quantised:
     xp: Any = np if isinstance(values, np.ndarray) else jnp
     n, real = values.shape[-1], xp.finfo(values.dtype)
     length = n if run is None else min(run, n)
@@ -81,6 +86,6 @@ def _quantised(values, bits: int, run: int | None) -> Quantised:
 _compiled = jax.jit(_quantised, static_argnames=("bits", "run"))
 
 
-def _by_code(xp, scale, run: int, n: int):
+def _by_code(xp: Any, scale: Float[Array | np.ndarray, "... s"], run: int, n: int) -> Any:
     """The scale of each of n codes."""
     return xp.repeat(scale, run, axis=-1)[..., :n]

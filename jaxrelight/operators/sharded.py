@@ -10,9 +10,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.operators.algebra import InBasis, Summed
 from jaxrelight.operators.clustered import Bucket, Clustered, count_holders, find_holders
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import Composed, InBasis, Operator, Scaled, Summed
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.operators.stacked import Stacked
 
@@ -54,17 +53,17 @@ class Sharded(Operator):
         """Bytes of all devices together, with their filling; what all of them hold is counted once."""
         return sum(array.nbytes for array in jax.tree.leaves(self))
 
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row, on every device."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """Radiance is whole on every device."""
         return _apply(self, light)
 
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint, on every device: each takes its rows of the radiance."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """Each device takes its rows of the radiance; the light is whole on every one."""
         return _transpose(self, radiance)
 
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows, on every device."""
-        return _rows(self, jnp.asarray(indices))
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """Rows are whole on every device."""
+        return _rows(self, indices)
 
 
 # Compiled even where the caller compiles nothing: JAX runs a program on the devices of many processes, not its steps.
@@ -135,8 +134,8 @@ def sharded(operator: Operator, mesh: Mesh) -> Operator:
     with the same arguments.
 
     Args:
-        operator: `SparseRows` or `Clustered`; or `Stacked`, `Summed` or `InBasis` of such, of which every part is
-            spread by itself.
+        operator: `SparseRows` or `Clustered`; or `Stacked`, `Summed`, `Composed`, `Scaled` or `InBasis` of such, of
+            which every part is spread by itself.
         mesh: of one axis, of any name.
 
     Raises:
@@ -148,6 +147,10 @@ def sharded(operator: Operator, mesh: Mesh) -> Operator:
         return type(operator)(tuple(sharded(part, mesh) for part in operator.operators))
     if isinstance(operator, InBasis):
         return InBasis(sharded(operator.operator, mesh), operator.basis)
+    if isinstance(operator, Composed):
+        return Composed(sharded(operator.outer, mesh), sharded(operator.inner, mesh))
+    if isinstance(operator, Scaled):
+        return Scaled(sharded(operator.operator, mesh), operator.factor)
     # Operators leave it to the compiler where arrays lie between their steps.
     mesh = Mesh(mesh.devices, mesh.axis_names)
     if isinstance(operator, SparseRows):

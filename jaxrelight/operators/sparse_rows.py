@@ -1,6 +1,7 @@
 """The row-sparse operator: a fixed number of coefficients in every row (Wang 2006 §4.1.1, §4.3)."""
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.operators.contract import Operator
-from jaxrelight.operators.quantised import Quantised, decoded
+from jaxrelight.operators.quantised import Quantised, decoded, decoded_type
 
 # The most rows of a block of the product: what a block gathers should stay in cache.
 _BLOCK = 4096
@@ -17,6 +18,9 @@ _BLOCK = 4096
 # The same where there are many lights, and from how many on that is quicker than one light after the other.
 _FEW = 32
 _MANY = 8
+
+# Indices [b, m, n] in blocks, and such values of each channel.
+Blocks = tuple[Any, tuple[Any, ...]]
 
 
 class SparseRows(Operator):
@@ -54,10 +58,9 @@ class SparseRows(Operator):
         return self.indices.nbytes + sum(channel.nbytes for channel in self.values)
 
     @jax.jit
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row: a gather of light and a short sum, block by block."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """For each row a gather of light and a short sum, block by block."""
         channels = range(light.shape[1])
-        self._check(len(channels))
         # One contiguous vector of light for each channel.
         by_channel = tuple(light[:, c] for c in channels)
 
@@ -71,12 +74,11 @@ class SparseRows(Operator):
         return jnp.moveaxis(products, 1, 2).reshape(-1, len(channels))[: self.row_count]
 
     @jax.jit
-    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Radiance of every row under each light: of each coefficient one gather for all, a few rows at a time."""
+    def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
+        """Of each coefficient one gather for all lights, a few rows at a time."""
         n, _, c = lights.shape
         if n < _MANY:
-            return super().apply_many(lights)
-        self._check(c)
+            return super()._apply_many(lights)
         # Of every column, one run of numbers to be gathered: channels c, lights n.
         side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, c * n)
         rows = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), (self.indices, self.values))
@@ -97,16 +99,13 @@ class SparseRows(Operator):
 
         # The last ones overlap those before, so that nothing is cut, which would copy it.
         starts = np.minimum(np.arange(0, held, few), held - few).astype(np.int32)
-        out, _ = jax.lax.scan(some, jnp.zeros((n, held, c), lights.dtype), starts)
+        dtype = jnp.result_type(lights, *(decoded_type(channel) for channel in self.values))
+        out, _ = jax.lax.scan(some, jnp.zeros((n, held, c), dtype), starts)
         return out[:, : self.row_count]
 
-    def _check(self, channels: int):
-        if len(self.values) not in (1, channels):
-            raise ValueError(f"light has {channels} channels, the operator {len(self.values)}")
-
     @jax.jit
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint, by scatter-add. Float32 sums here are serial: rounding grows with rows per coefficient."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """A scatter-add. Float32 sums here are serial: rounding grows with rows per coefficient."""
         b, m, _ = self.indices.shape
         indices = self.indices.astype(jnp.int32)
         filled = jnp.pad(radiance, ((0, b * m - self.row_count), (0, 0))).reshape(b, m, 1, -1)
@@ -119,8 +118,8 @@ class SparseRows(Operator):
         return jnp.stack(sums, axis=-1)
 
     @jax.jit
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows, zero where nothing was kept."""
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """Rows are zero where nothing was kept."""
         kept, channels = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1])[indices], (self.indices, self.values))
         kept, values = kept.astype(jnp.int32), jnp.stack([decoded(channel) for channel in channels], axis=1)
         empty = jnp.zeros((*values.shape[:2], self.columns), values.dtype)
@@ -156,7 +155,14 @@ def sparse_rows(
     return SparseRows(in_blocks, by_channel, r, columns)
 
 
-def _blocks(xp, indices, values, b: int, m: int, columns: int):
+def _blocks(
+    xp: Any,
+    indices: Int[Array | np.ndarray, "r n"],
+    values: Float[Array | np.ndarray, "r c n"] | Quantised,
+    b: int,
+    m: int,
+    columns: int,
+) -> Blocks:
     """Indices, and values of each channel, in b blocks of m rows."""
 
     def block(rows):
@@ -167,7 +173,9 @@ def _blocks(xp, indices, values, b: int, m: int, columns: int):
 
 
 @functools.partial(jax.jit, static_argnames=("b", "m", "columns"))
-def _compiled_blocks(indices, values, b: int, m: int, columns: int):
+def _compiled_blocks(
+    indices: Int[Array, "r n"], values: Float[Array, "r c n"] | Quantised, b: int, m: int, columns: int
+) -> Blocks:
     return _blocks(jnp, indices, values, b, m, columns)
 
 

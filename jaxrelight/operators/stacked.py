@@ -4,13 +4,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import Operator, check_channels
 
 
 class Stacked(Operator):
-    """The rows of the first operator, then those of the second, and so on: one for each material."""
+    """The rows of the first operator, then those of the second, and so on: one for each material.
+
+    Raises:
+        ValueError: for operators of other coefficients than the first, or of other channels, one aside.
+    """
 
     operators: tuple[Operator, ...]
+
+    def __check_init__(self):
+        first = self.operators[0].shape
+        for operator in self.operators[1:]:
+            if operator.shape[1] != first[1]:
+                raise ValueError(f"operators of shapes {first} and {operator.shape} cannot be stacked")
+        check_channels("stacked", self.operators)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -28,25 +39,23 @@ class Stacked(Operator):
         """The first row of each operator, and the end of the last."""
         return [0, *(int(end) for end in np.cumsum([operator.shape[0] for operator in self.operators]))]
 
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row."""
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         return jnp.concatenate([operator.apply(light) for operator in self.operators])
 
-    def apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Radiance of every row under each light."""
+    def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
         return jnp.concatenate([operator.apply_many(lights) for operator in self.operators], axis=1)
 
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         parts = zip(self.operators, self.starts[:-1], self.starts[1:], strict=True)
         return jnp.sum(jnp.stack([part.transpose(radiance[start:end]) for part, start, end in parts]), axis=0)
 
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows; an operator of one channel is spread over all. Looks into every operator for every row."""
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """Looks into every operator for every row; rows of one channel are the same in all of the others'."""
         _, d, c = self.shape
-        out = jnp.zeros((len(indices), c, d))
-        for operator, start, end in zip(self.operators, self.starts[:-1], self.starts[1:], strict=True):
+        parts = list(zip(self.operators, self.starts[:-1], self.starts[1:], strict=True))
+        every = [part.rows(jnp.clip(indices - start, 0, end - start - 1)) for part, start, end in parts]
+        rows = jnp.zeros((len(indices), c, d), jnp.result_type(*every))
+        for (_, start, end), found in zip(parts, every, strict=True):
             mine = (indices >= start) & (indices < end)
-            found = operator.rows(jnp.clip(indices - start, 0, end - start - 1))
-            out = jnp.where(mine[:, None, None], found, out)
-        return out
+            rows = jnp.where(mine[:, None, None], found, rows)
+        return rows

@@ -17,13 +17,14 @@ from jaxrelight.gather.photon_gather import PhotonGather
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.precomputation.groups import Report, timed
 from jaxrelight.precomputation.layer_files import made_once, write_lights, write_once
 from jaxrelight.precomputation.layers import Made
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.placing import place
 from jaxrelight.precomputation.surface_albedo import SurfaceAlbedo
+from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
+from jaxrelight.timing import timed
 from jaxrelight.transport.compression import of_cloud
 
 

@@ -15,11 +15,13 @@ from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.methods import Transport
-from jaxrelight.precomputation.groups import Report, complete, timed
+from jaxrelight.precomputation.groups import complete
 from jaxrelight.precomputation.layer_files import write_lights
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.placing import place
+from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
+from jaxrelight.timing import timed
 from jaxrelight.transport.bounce import Gather
 from jaxrelight.transport.compression import compression, shared
 from jaxrelight.transport.model import SceneGeometry

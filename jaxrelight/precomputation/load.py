@@ -55,7 +55,8 @@ def load(
         geometry: of the scene, as `precompute` gives it; by default read from the store.
 
     Raises:
-        InputError: if it is not complete, damaged, or of another format.
+        InputError: if it is not complete, damaged, or of another format; if a BRDF or a light is of a class of one's
+            own that is not known: its module must be imported before, see `jaxrelight.files.class_record`.
     """
     folder = pathlib.Path(folder)
     header = header or store.read_header(folder)
@@ -68,12 +69,26 @@ def load(
         ) from None
 
 
+def _method_of(record: dict) -> Transport | Indirect:
+    """The lighting method of a store.
+
+    Raises:
+        ValueError: for one without stores, or a dial outside its range.
+    """
+    try:
+        method = METHODS[record["name"]](**record["dials"])
+    except InputError as error:
+        raise ValueError(error) from None
+    if not isinstance(method, Transport | Indirect):
+        raise ValueError(f"{method.name} lighting has no store")
+    return method
+
+
 def _load(
     folder: pathlib.Path, header: dict, geometry: SceneGeometry | None
 ) -> PrecomputedTransport | PrecomputedIndirect:
     store.layers_of(header)  # refuses names of anything else before any is opened
-    method = METHODS[header["method"]["name"]](**header["method"]["dials"])
-    assert isinstance(method, Transport | Indirect)
+    method = _method_of(header["method"])
     camera = Camera(**header["camera"])
     geometry = geometry or _geometry(folder, header, camera, method)
     receivers = geometry.receivers
@@ -106,7 +121,7 @@ def _load(
     )
     kept = 1 - left / total if total else 1.0
     transport = PrecomputedTransport(tuple(blocks), _basis(method), method, stored, kept)
-    if points is None:
+    if points is None or not isinstance(method, Indirect):
         return transport
     return PrecomputedIndirect(transport, _read_cloud(folder, header, points, method))
 
@@ -129,7 +144,8 @@ def _block(
     visibility: store.Layer | None,
 ) -> tuple[Block, tuple[float, float]]:
     """One BRDF of one material, and of its rows the energy that is left out and the total."""
-    brdf = from_record(record["brdf"], functools.partial(_read_table, folder))
+    called = f"the store's material '{record['name']}'"
+    brdf = from_record(record["brdf"], functools.partial(_read_table, folder), what=called)
     groups = receivers.groups_of(record["number"])
     if record["factors"]:
         read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors

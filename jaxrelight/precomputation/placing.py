@@ -19,6 +19,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import Receivers
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lights.record import to_records
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.layer_files import (
     factors_of,
@@ -166,8 +167,10 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
     """Puts a scene's geometry into a store, and finds its receivers.
 
     Raises:
-        InputError: if the camera sees nothing where receivers are pixels, or the folder cannot be made.
+        InputError: if the camera sees nothing where receivers are pixels, if the folder cannot be made, or if a store
+            cannot hold the fields of a BRDF or a light of a class of one's own.
     """
+    _check_classes(scene, method)
     surfaces = scene.surfaces()
     names = sorted({part.material for part in scene.parts})
     material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
@@ -185,3 +188,11 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
     layer = write_geometry(folder / f"geometry-{whole_key}", surfaces)
     geometry = SceneGeometry(surfaces, tracer, tuple(bumps), (), receivers, seen)
     return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key)
+
+
+def _check_classes(scene: Scene, method: Transport | Indirect) -> None:
+    """Finds out before long work whether a store can hold the scene's BRDFs, and the lights that it keeps."""
+    for name in sorted({part.material for part in scene.parts}):
+        for component in as_material(scene.materials[name]).components:
+            to_record(component.brdf, lambda array: "", f"{scene.name}: material '{name}'")
+    to_records(scene.lights.local, f"{scene.name}:")

@@ -11,8 +11,9 @@ from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.cloud_layers import make_indirect
-from jaxrelight.precomputation.layers import Made, Report, check_terms_of, make_layers
+from jaxrelight.precomputation.layers import Made, check_terms_of, make_layers
 from jaxrelight.precomputation.load import load
+from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.bounce import Gather, remaining
 from jaxrelight.transport.model import PrecomputedTransport, SceneGeometry

@@ -130,7 +130,12 @@ class Gather:
         by_reflection = np.split(lines.T.reshape(m, sum(terms), c, len(columns)), ends[:-1], axis=1)
         emitted: Sequence[np.ndarray | None] = [None] * len(terms)
         if self.emits:
-            own = self.light(hits, light_side, [block.emitted for block in self._transport.blocks], emission=True)
+            own = self.light(
+                hits,
+                light_side,
+                [None if block.emitted is None else np.asarray(block.emitted) for block in self._transport.blocks],
+                emission=True,
+            )
             emitted = np.split(own, ends[:-1], axis=1)
         return [Gathered(columns, *one) for one in zip(by_reflection, emitted, strict=True)]
 

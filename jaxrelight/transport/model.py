@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.brdf.contract import Brdf
@@ -15,6 +16,7 @@ from jaxrelight.brdf.normal_maps import NormalMaps
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight
+from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.gather.gather_cloud import GatherCloud
 from jaxrelight.gather.lit_cloud import LitCloud
@@ -30,6 +32,7 @@ from jaxrelight.lights.local import Light
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis, Operator
+from jaxrelight.operators.sharded import sharded
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.transport import bake
 from jaxrelight.transport.streamed import Streamed
@@ -196,6 +199,21 @@ class PrecomputedTransport(eqx.Module):
     def emits(self) -> bool:
         """Whether surfaces emit light."""
         return any(block.emission is not None for block in self.blocks)
+
+    def sharded(self, mesh: Mesh) -> "PrecomputedTransport":
+        """The same with the rows of its operators spread over the devices of a mesh; see `operators.sharded`.
+
+        Raises:
+            InputError: for a mesh of more axes than one, or operators that are baked from a store as they are used.
+        """
+        try:
+            operators = [sharded(block.operator, mesh) for block in self.blocks]
+        except ValueError as error:
+            raise InputError(f"this transport cannot be spread over devices: {error}") from None
+        blocks = zip(self.blocks, operators, strict=True)
+        return dataclasses.replace(
+            self, blocks=tuple(dataclasses.replace(block, operator=operator) for block, operator in blocks)
+        )
 
 
 class PrecomputedIndirect(eqx.Module):

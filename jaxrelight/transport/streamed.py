@@ -1,10 +1,11 @@
 """The exact operator: rows are baked from visibility when they are needed and never stored."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.basis.cubemap import Texels
@@ -12,6 +13,9 @@ from jaxrelight.brdf.reflection import Reflection, of_group
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
 from jaxrelight.transport import bake
+
+# Visibility bits, tangent frames and reflection of one group, and the directions that the bits stand for.
+BakeInputs = tuple[UInt8[Array, "m bytes"], Float[Array, "m 3 3"], Reflection, bake.Directions]
 
 
 class Streamed(Operator):
@@ -41,33 +45,42 @@ class Streamed(Operator):
         """Bytes of the visibility that it reads at every use."""
         return self.frames.shape[0] * self.frames.shape[1] * len(self.directions.vectors) // 8
 
-    def _groups(self):
-        for group in range(len(self.frames)):
-            bits = as_array(self.read_bits(group))
-            yield bits, self.frames[group], of_group(self.reflection, group), self.directions
+    def _group(self, group: int) -> BakeInputs:
+        """What a group's rows are baked from."""
+        bits = as_array(self.read_bits(group))
+        return bits, self.frames[group], of_group(self.reflection, group), self.directions
 
-    def apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        """Radiance of every row."""
+    def _groups(self) -> Iterator[BakeInputs]:
+        return (self._group(group) for group in range(len(self.frames)))
+
+    def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         c = light.shape[1]
         return jnp.concatenate([bake.bake_and_apply(*group, light).reshape(-1, c) for group in self._groups()])
 
-    def transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The adjoint."""
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
         m, k, c = self.frames.shape[1], self.reflection.terms, radiance.shape[1]
         blocks = radiance.reshape(-1, m, k, c)
         parts = [bake.bake_and_transpose(*group, block) for group, block in zip(self._groups(), blocks, strict=True)]
         return jnp.sum(jnp.stack(parts), axis=0)
 
-    def rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """The chosen rows. Bakes the groups that they lie in."""
+    def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
+        """Bakes the groups that rows lie in, each once; all groups where indices are traced, and so not known."""
         _, d, c = self.shape
         per_group = self.frames.shape[1] * self.reflection.terms
-        out = []
-        for index in np.asarray(indices):
-            group = int(index) // per_group
-            bits, frames = as_array(self.read_bits(group)), self.frames[group]
-            baked = bake.bake_rows(
-                bits, frames, of_group(self.reflection, group), self.directions, Texels(round((d / 6) ** 0.5))
-            )
-            out.append(baked.reshape(per_group, c, d)[int(index) % per_group])
-        return jnp.stack(out)
+        texels = Texels(round((d / 6) ** 0.5))
+
+        def baked(group: int) -> Float[Array, "n c d"]:
+            return bake.bake_rows(*self._group(group), texels).reshape(per_group, c, d)
+
+        if isinstance(indices, Tracer) or not len(indices):
+            rows = jnp.zeros((len(indices), c, d), self.frames.dtype)
+            for group in range(len(self.frames)):
+                mine = indices // per_group == group
+                rows = jnp.where(mine[:, None, None], baked(group)[indices % per_group], rows)
+            return rows
+        group_of, row_of = np.divmod(np.asarray(indices), per_group)
+        chosen: dict[int, Float[Array, "c d"]] = {}
+        for group in np.unique(group_of):
+            of_this = baked(int(group))
+            chosen |= {int(i): of_this[int(row_of[i])] for i in np.flatnonzero(group_of == group)}
+        return jnp.stack([chosen[i] for i in range(len(indices))])

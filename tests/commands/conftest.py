@@ -46,5 +46,5 @@ def _run():
 @pytest.fixture
 def made(folder, run) -> pathlib.Path:
     """A store of the scene, for vertices."""
-    assert run("precompute", "scene.toml", "-o", "made", *DIALS, "--json")[0] == 0
+    assert run("precompute", "scene.toml", "-o", "made", "--receivers", "vertices", *DIALS, "--json")[0] == 0
     return folder / "made"

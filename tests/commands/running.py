@@ -37,6 +37,7 @@ resolution = 3
 material = "gloss"
 """
 LAMP = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
+NO_BOUNCES = "note: transport lighting leaves out light that surfaces reflect onto each other"
 DIALS = "--resolution", "8", "--coefficients", "32", "--factor-resolution", "8", "--terms", "2"
 
 
@@ -68,10 +69,10 @@ def summary_of(result: tuple[int, str, str]) -> dict:
     return json.loads(out, parse_constant=refuse)
 
 
-def refusal_of(result: tuple[int, str, str], program: str = "jaxrelight") -> str:
-    """The one line of a command that refused its input."""
-    status, out, err = result
-    assert status == 1
+def refusal_of(result: tuple[int, str, str], program: str = "jaxrelight", status: int = 1) -> str:
+    """The one line of a command that refused its input, or with status 2 its command line."""
+    ended, out, err = result
+    assert ended == status
     assert out == ""
     assert err.startswith(f"{program}: ")
     assert len(err.splitlines()) == 1

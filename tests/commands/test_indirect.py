@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxrelight import read_image, write_image
-from jaxrelight.commands import indirect
 from jaxrelight.images.exr import read_channels
-from tests.commands.running import DIALS, refusal_of, run, summary_of
+from tests.commands.running import refusal_of, run, summary_of
+from tests.commands.summary_keys import KEYS, keys_of
 
 CAMERA = "[camera]\norigin = [0, 0.6, 1.4]\ntarget = [0, 0.3, -1]\nfov_y = 60\nwidth = 16\nheight = 12\n"
 MATERIALS = (
@@ -23,13 +23,12 @@ MESHES = (
 LAMP = '[[light]]\ntype = "point"\nposition = [0.3, 0.8, 0]\nintensity = [2, 1, 1]\n'
 MOVED = '[[light]]\ntype = "spot"\nposition = [-0.5, 0.9, 0]\ntarget = [0, 0, -1]\nintensity = 3\ncutoff = 50\n'
 SKY = '[environment]\nfile = "sky.exr"\n'
-FEW = "--gather-samples", "256"
+FEW = "--gather-samples", "256", "--sky-samples", "4"
 
 
 @pytest.fixture(autouse=True)
 def _folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(indirect, "SKY_SAMPLES", 4)
     monkeypatch.chdir(tmp_path)
     write_image("sky.exr", np.full((8, 16, 3), 0.3, np.float32))
     scene = CAMERA + MATERIALS + MESHES
@@ -40,6 +39,7 @@ def _folder(tmp_path, monkeypatch):
 def test_a_scene_with_local_lights_alone_is_lit_by_them_and_what_they_light():
     arguments = "lamp.toml", "-o", "out.exr", "--store", "made", *FEW
     summary = summary_of(run("render", *arguments, "--json"))
+    assert keys_of(summary) == KEYS["indirect"]
     assert summary["lighting"] == "indirect"
     assert (summary["lights"], summary["settings"]["bounces"]) == (1, 3)
     assert summary["rays"] > 1000
@@ -90,7 +90,7 @@ def test_layers_add_up():
     for name in "RGB":
         parts = sum(channels[f"{layer}.{name}"] for layer in ("direct", "indirect.diffuse", "indirect.glossy"))
         np.testing.assert_allclose(parts, channels[name], rtol=1e-4, atol=1e-5)
-        lights = sum(channels[f"light{number}.{name}"] for number in (1, 2))
+        lights = sum(channels[f"{layer}.{name}"] for layer in ("light1", "sky"))
         np.testing.assert_allclose(lights, channels[name], rtol=1e-4, atol=1e-5)
         assert channels[f"indirect.glossy.{name}"].max() > 0
     np.testing.assert_array_equal(read_image("out.exr")[..., 0], channels["R"])
@@ -100,16 +100,12 @@ def test_layers_add_up():
     ("arguments", "what"),
     [
         ("render lamp.toml -o out.exr --gather-samples 100", "gather samples are 100; they must be a power of four"),
-        ("render lamp.toml -o out.exr --resolution 8", "--resolution is a dial of --lighting transport"),
-        ("render lamp.toml -o out.exr --receivers vertices", "--receivers vertices is a dial of --lighting transport"),
-        ("render lamp.toml -o out.exr --no-shadows", "--no-shadows is a dial of --lighting prefiltered"),
         ("render lamp.toml -o out.exr --bounces 0", "bounces are 0"),
-        ("render lamp.toml -o out.exr --samples 0", "--samples is 0; it must be from 1 to 16"),
-        ("render lamp.toml -o out.exr --seed -1", "seed is -1; it must be a whole number, 0 or more"),
+        ("render lamp.toml -o out.exr --direct-samples 0", "direct samples are 0; they must be whole numbers from 1"),
+        ("render lamp.toml -o out.exr --seed -1", "seed is -1; it must be a whole number from 0"),
         ("render lamp.toml -o out.png --layers --gather-samples 64", "only an .exr holds layers"),
         ("render dark.toml -o out.exr --lighting indirect --gather-samples 64", "there is no light"),
-        ("render both.toml -o out.exr", "the scene has [[light]]; render it with --lighting indirect"),
-        ("precompute lamp.toml -o made --receivers vertices", "--receivers vertices is a dial of --lighting transport"),
+        ("render lamp.toml -o out.exr --photons 8 --sky", "photons do not come from the sky"),
     ],
 )
 def test_what_does_not_go_together_is_refused_before_work(arguments, what, tmp_path):
@@ -117,10 +113,22 @@ def test_what_does_not_go_together_is_refused_before_work(arguments, what, tmp_p
     assert not (tmp_path / "cache" / "jaxrelight").exists()
 
 
-def test_other_cameras_and_lights_of_other_stores_are_refused():
+def test_other_cameras_and_files_without_lights_are_refused():
     run("precompute", "lamp.toml", "-o", "made", *FEW)
     assert "precomputed for one camera" in refusal_of(run("relight", "made", "-o", "out.exr", "--width", "5"))
     assert "has no [[light]]" in refusal_of(run("relight", "made", "-o", "out.exr", "--lights", "dark.toml"))
-    run("precompute", "dark.toml", "-o", "distant", *DIALS)
-    refused = refusal_of(run("relight", "distant", "-o", "out.exr", "--lights", "lamp.toml"))
-    assert "a store for distant light" in refused
+    refused = refusal_of(run("relight", "made", "-o", "out.exr", "--direct-samples", "17"))
+    assert "direct samples are 17; they must be whole numbers from 1 to 16" in refused
+
+
+def test_direct_light_is_sampled_as_often_as_the_store_says_or_relight_does():
+    """More samples of direct light are another picture, with the same indirect light."""
+    summary_of(run("precompute", "lamp.toml", "-o", "made", *FEW, "--direct-samples", "1", "--json"))
+    own, once, four = (
+        summary_of(run("relight", "made", "-o", f"{name}.exr", *options, "--json"))
+        for name, options in (("own", ()), ("once", ("--direct-samples", "1")), ("four", ("--direct-samples", "4")))
+    )
+    assert own["settings"]["direct_samples"] == 1
+    np.testing.assert_array_equal(read_image("own.exr"), read_image("once.exr"))
+    assert np.abs(read_image("four.exr") - read_image("once.exr")).max() > 0.01
+    assert four["mean_radiance"] == pytest.approx(once["mean_radiance"], rel=0.1)

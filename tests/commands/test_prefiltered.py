@@ -1,28 +1,27 @@
 """`render --lighting prefiltered`: pictures without a store."""
 
-import functools
+import json
 
 import numpy as np
 import pytest
 
 from jaxrelight import read_image
-from jaxrelight.lights import prefiltered
-from tests.commands.running import refusal_of, run, summary_of
+from tests.commands.running import SCENE, refusal_of, run, summary_of
+from tests.commands.summary_keys import KEYS, keys_of
 
 pytestmark = pytest.mark.usefixtures("lit_scenes")
 
 
-@pytest.fixture(autouse=True)
-def _coarse_maps(monkeypatch):
-    """Fine ones take their time."""
-    monkeypatch.setattr(prefiltered, "prefilter", functools.partial(prefiltered.prefilter, finest=64))
+# Fine maps take their time.
+LIT_BY = "--lighting", "prefiltered", "--map-rows", "64"
+ASHIKHMIN_SHIRLEY = 'type = "ashikhmin_shirley"\nkd = 0.1\nks = 0.5\nnu = 10\nnv = 20'
 
 
 def picture(name: str, *dials) -> np.ndarray:
-    summary = summary_of(run("render", f"{name}.toml", "-o", "out.exr", "--lighting", "prefiltered", *dials, "--json"))
+    summary = summary_of(run("render", f"{name}.toml", "-o", "out.exr", *LIT_BY, *dials, "--json"))
     assert summary["lighting"] == "prefiltered"
     assert summary["lights"] == ("sky" not in name)
-    assert (summary["maps_bytes"] > 0) == ("lamp" not in name)
+    assert keys_of(summary) == KEYS["prefiltered"]
     pixels = read_image("out.exr")
     assert 0.2 < summary["covered"] < 1
     return np.where(pixels[..., 3:] > 0, pixels[..., :3], 0)
@@ -41,26 +40,26 @@ def test_scales_are_factors_and_lobes_that_are_the_same_everywhere_are_their_own
     np.testing.assert_allclose(picture("sky", "--scale", "3"), 3 * picture("sky"), rtol=1e-5)
 
 
-def test_the_note_says_what_is_left_out():
-    status, _, err = run("render", "sky.toml", "-o", "out.png", "--lighting", "prefiltered")
-    assert status == 0
-    assert "note: prefiltered: the environment casts no shadows" in err
+def test_notes_say_what_is_left_out():
+    for scene, left_out in (
+        ("sky", ["shadows of the environment", "light that surfaces reflect onto each other"]),
+        ("lamp", ["light that surfaces reflect onto each other"]),
+    ):
+        status, out, err = run("render", f"{scene}.toml", "-o", "out.png", *LIT_BY, "--json")
+        assert status == 0
+        assert err.splitlines() == [f"note: prefiltered lighting leaves out {line}" for line in left_out]
+        assert json.loads(out)["leaves_out"] == left_out
 
 
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
-        ("both.toml -o out.exr", "transport is of distant light only, and the scene has [[light]]"),
-        ("dark.toml -o out.exr --lighting prefiltered", "the scene has no environment"),
-        ("sky.toml -o out.exr --lighting prefiltered --resolution 8", "--resolution is a dial of --lighting transport"),
-        ("sky.toml -o out.exr --lighting prefiltered --store x", "--store is a dial of --lighting transport"),
-        ("sky.toml -o out.exr --texels reflectance", "--texels is a dial of --lighting prefiltered"),
-        ("sky.toml -o out.exr --no-shadows", "--no-shadows is a dial of --lighting prefiltered"),
+        ("dark.toml", "there is no light; name an environment with --env MAP"),
+        ("sky.toml --map-rows 100", "map rows are 100; they must be a power of two"),
+        ("measured.toml", "[material.gloss]: prefiltered environments are for sums of lobes"),
     ],
 )
-def test_what_does_not_go_together_is_refused(arguments, what):
-    assert what in refusal_of(run("render", *arguments.split()))
-
-
-def test_transport_of_a_scene_with_lights_is_not_precomputed():
-    assert "transport is of distant light only" in refusal_of(run("precompute", "both.toml", "-o", "made"))
+def test_what_does_not_go_together_is_refused(arguments, what, tmp_path):
+    measured = SCENE.replace('type = "phong"\ndiffuse = 0.1\nspecular = 0.3\nexponent = 5', ASHIKHMIN_SHIRLEY)
+    (tmp_path / "measured.toml").write_text(measured)
+    assert what in refusal_of(run("render", "-o", "out.exr", "--lighting", "prefiltered", *arguments.split()))

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from jaxrelight import cli
-from jaxrelight.commands import progress as bars
+from jaxrelight import progress as bars
 from tests.commands.running import DIALS
 
 # Interrupts are ignored in what a shell started in the background; here they must count.

@@ -167,7 +167,9 @@ def precompute(sound: Sound, store: pathlib.Path) -> tuple:
 
 
 def _dials(options: tuple) -> tuple:
-    return options if options == INDIRECT else (*_DIALS, *options)
+    if options == INDIRECT:
+        return options
+    return (*_DIALS, *options) if "--receivers" in options else (*_DIALS, *options, "--receivers", "vertices")
 
 
 def _relighting(copy: pathlib.Path, picture: pathlib.Path, sound: Sound, good: bool) -> str:
@@ -341,7 +343,11 @@ WHOLE = (
     Damage("header without a format", lambda copy, _: (copy / "store.json").write_text("{}")),
     Damage("header that is a list", lambda copy, _: (copy / "store.json").write_text("[]")),
     Damage("header without materials", _header(materials=[])),
-    Damage("header of unknown settings", _header(settings={"unknown": 1})),
+    Damage("header of unknown dials", _header(method={"name": "transport", "dials": {"unknown": 1}})),
+    Damage("header of dials out of range", _header(method={"name": "transport", "dials": {"resolution": 7}})),
+    Damage("header of an unknown method", _header(method={"name": "unknown", "dials": {}})),
+    Damage("header of a method without stores", _header(method={"name": "adaptive", "dials": {}})),
+    Damage("header of another method", _header(method={"name": "indirect", "dials": {}})),
     Damage("header without a camera", _header(camera=None)),
     Damage("header that names no layer there is", _header(geometry=f"geometry-{'0' * 16}")),
     Damage("header that names another kind", _header(visibility=f"geometry-{'0' * 16}")),

@@ -16,7 +16,7 @@ def folder(tmp_path_factory) -> pathlib.Path:
     return made
 
 
-def test_the_sound_scene_is_rendered_without_a_word(folder):
+def test_the_sound_scene_is_rendered(folder):
     assert not scenes.wrong_with_sound(folder)
     (folder / "out.exr").unlink()
     shutil.rmtree(folder / "made")

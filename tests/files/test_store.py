@@ -315,11 +315,13 @@ def test_full_disk_is_told_and_what_is_done_is_kept(tmp_path, monkeypatch):
 
 
 def test_header_round_trip(tmp_path):
-    store.write_header(tmp_path, {"scene": "büste", "settings": {"terms": 4}, "environment": None})
+    store.write_header(
+        tmp_path, {"scene": "büste", "method": {"name": "transport", "dials": {"terms": 4}}, "environment": None}
+    )
     assert store.read_header(tmp_path) == {
         "format": store.FORMAT,
         "scene": "büste",
-        "settings": {"terms": 4},
+        "method": {"name": "transport", "dials": {"terms": 4}},
         "environment": None,
     }
     assert [path.name for path in tmp_path.iterdir()] == ["store.json"]
@@ -330,13 +332,13 @@ def test_header_round_trip(tmp_path):
     [
         (None, "not a store, or its precomputation was not finished; run precompute"),
         (b"", "damaged; run precompute again"),
-        (b'{"format": 4, "sce', "damaged; run precompute again"),
-        (b'{"format": 4, "scene": "x"}', "damaged; run precompute again"),
+        (b'{"format": 5, "sce', "damaged; run precompute again"),
+        (b'{"format": 5, "scene": "x"}', "damaged; run precompute again"),
         (b"\xff\xfe\x00", "damaged; run precompute again"),
         (b"[1]", "damaged; run precompute again"),
-        (b"{}", "format None is not format 4"),
-        (b'{"format": 3}', "format 3 is not format 4"),
-        (b'{"format": 5}', "format 5 is not format 4"),
+        (b"{}", "format None is not format 5"),
+        (b'{"format": 4}', "format 4 is not format 5"),
+        (b'{"format": 6}', "format 6 is not format 5"),
     ],
 )
 def test_bad_header_is_refused(tmp_path, content, message: str):
@@ -363,7 +365,10 @@ def test_header_is_replaced_whole(tmp_path, monkeypatch):
 
 
 def test_every_flipped_bit_of_the_header_is_noticed(tmp_path):
-    store.write_header(tmp_path, {"scene": "x", "settings": {"terms": 4, "scale": 0.5}, "environment": None})
+    store.write_header(
+        tmp_path,
+        {"scene": "x", "method": {"name": "transport", "dials": {"terms": 4, "scale": 0.5}}, "environment": None},
+    )
     path = tmp_path / "store.json"
     good = path.read_bytes()
     for bit in range(8 * len(good)):

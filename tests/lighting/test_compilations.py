@@ -5,16 +5,11 @@ import functools
 
 import numpy as np
 import pytest
-from jaxrelight.lighting.adaptive.shader import AdaptiveShader
 
 import jaxrelight as jr
 from jaxrelight import Part, Scene
-from jaxrelight.lighting.prefiltered import look_at
-from jaxrelight.lighting.transport import TransportRelighter
-from jaxrelight.lights.pyramid import light_pyramid
-from jaxrelight.methods import Transport
-from jaxrelight.precomputation.load import load
-from jaxrelight.precomputation.precompute import precompute
+from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter
+from jaxrelight.methods import Adaptive, Transport
 from tests.compilations import compilations
 
 SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
@@ -28,9 +23,7 @@ def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:
 
 
 def _picture(scene: Scene, settings: Transport, folder) -> np.ndarray:
-    made = precompute(scene, settings, folder)
-    relighter = TransportRelighter(load(made.folder, made.header))
-    return relighter.image(SKY, relighter.view())
+    return jr.prepare(scene, settings, folder).picture()
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])
@@ -51,25 +44,23 @@ def test_another_mesh_of_similar_size_compiles_nothing(tmp_path, receivers: str)
 
 
 def test_another_view_light_and_turn_compile_nothing(tmp_path):
-    made = precompute(_scene(13, 30), SETTINGS, tmp_path)
-    relighter = TransportRelighter(load(made.folder, made.header))
-    first = relighter.image(SKY, relighter.view())
+    relighter = jr.prepare(_scene(13, 30), SETTINGS, tmp_path)
+    first = relighter.picture(SKY)
     with compilations() as compiled:
-        brighter = jr.environment(SKY.pixels[::-1] + 1, rotate_y=50, scale=2.5)
-        second = relighter.image(brighter, relighter.view(dataclasses.replace(CAMERA, origin=(-1.0, 1.2, 2.0))))
+        brighter = jr.environment(np.asarray(SKY.pixels)[::-1] + 1, rotate_y=50, scale=2.5)
+        second = relighter.picture(brighter, dataclasses.replace(CAMERA, origin=(-1.0, 1.2, 2.0)))
     assert not compiled
     assert np.abs(first - second).max() > 0.1
 
 
 def test_another_sun_compiles_nothing(tmp_path):
     """Of however many texels: turned, it lies in more of them."""
-    made = precompute(_scene(13, 30), SETTINGS, tmp_path)
-    relighter = TransportRelighter(load(made.folder, made.header))
+    relighter = jr.prepare(_scene(13, 30), SETTINGS, tmp_path)
 
     def light(rows: int, turn: float):
-        pixels = SKY.pixels.copy()
+        pixels = np.array(SKY.pixels)
         pixels[1 : 1 + rows, 3] = 1e4
-        return np.asarray(relighter.light(jr.environment(pixels, rotate_y=turn))[0])
+        return np.asarray(relighter.light(jr.environment(pixels, rotate_y=turn)).terms[0])
 
     first = light(1, 0.0)
     with compilations() as compiled:
@@ -88,16 +79,19 @@ def test_opening_the_store_again_compiles_nothing(tmp_path):
 
 
 @functools.cache
-def _shader() -> AdaptiveShader:
-    return AdaptiveShader(look_at(_scene(13, 30)), CAMERA)
+def _adaptive(camera: jr.Camera = CAMERA) -> AdaptiveRelighter:
+    relighter = jr.prepare(_scene(13, 30, camera), Adaptive(tolerance=0.02))
+    assert isinstance(relighter, AdaptiveRelighter)
+    return relighter
 
 
 def test_shaded_again_shadows_compile_nothing():
     """However many batches their rays come in."""
-    light = light_pyramid(SKY)
-    few = np.asarray(_shader().uniform(light, 16, shadows=True))
+    relighter = _adaptive()
+    lit, view = relighter.light(SKY), relighter.view()
+    few = np.asarray(relighter.shade_uniform(lit, view, 16))
     with compilations() as compiled:
-        many = np.asarray(_shader().uniform(light, 1024, shadows=True))
+        many = np.asarray(relighter.shade_uniform(lit, view, 1024))
     assert not compiled
     assert 0 < np.abs(few - many).max() < 1
 
@@ -105,17 +99,19 @@ def test_shaded_again_shadows_compile_nothing():
 def test_pictures_of_about_a_size_are_planned_and_shaded_by_the_same_programs():
     """But for what puts pixels where they are in the picture, and reads the view's numbers of them."""
 
-    def picture(shader: AdaptiveShader, seed: int, tolerance: float) -> np.ndarray:
-        light = light_pyramid(jr.environment(np.random.default_rng(seed).uniform(0.1, 1, size=(8, 16, 3))))
-        return np.asarray(shader.shade(shader.plan(light, tolerance=tolerance), light))
+    def picture(seed: int, tolerance: float, camera: jr.Camera = CAMERA) -> np.ndarray:
+        relighter = dataclasses.replace(_adaptive(camera), method=Adaptive(tolerance=tolerance))
+        pixels = np.random.default_rng(seed).uniform(0.1, 1, size=(8, 16, 3))
+        image = relighter.shade(relighter.light(jr.environment(pixels)), relighter.view())
+        return np.asarray(image.radiance)
 
-    first = picture(_shader(), 0, 0.02)
+    first = picture(0, 0.02)
     with compilations() as compiled:
-        second = picture(_shader(), 1, 0.01)
+        second = picture(1, 0.01)
     assert not compiled
     assert np.abs(first - second).max() > 0
     narrower = dataclasses.replace(CAMERA, width=23)
     with compilations() as compiled:
-        other = picture(AdaptiveShader(look_at(_scene(13, 30, narrower)), narrower), 0, 0.02)
+        other = picture(0, 0.02, narrower)
     assert set(compiled) <= {"jit(assembled)"}
     assert other.shape[1] == 23

@@ -21,12 +21,7 @@ def relighter(tmp_path_factory) -> jr.Relighter:
 
 @pytest.fixture(scope="module")
 def picture(relighter):
-    view = relighter.view()
-
-    def lit(environment) -> np.ndarray:
-        return relighter.image(environment, view)
-
-    return lit
+    return relighter.picture
 
 
 def _sky(height: int = 16) -> np.ndarray:
@@ -82,8 +77,6 @@ def test_a_map_of_one_pixel_lights_as_a_constant_one(picture):
 
 
 def test_a_strip_comes_back_from_a_store_as_the_map_it_was_made_to(tmp_path):
-    from jaxrelight.precomputation.load import load, stored_environment
-
     environment = jr.environment(np.ones((6, 1, 3)) * np.arange(1, 7)[:, None, None], 20, 3)
     assert environment.pixels.shape == (8, 16, 3)
     flat = jr.environment(np.random.default_rng(0).random((4, 24, 3)), layout="latlong")
@@ -92,7 +85,7 @@ def test_a_strip_comes_back_from_a_store_as_the_map_it_was_made_to(tmp_path):
         scene = jr.Scene([part], {"paper": jr.lambert(0.5)}, jr.Camera((0, 2, 1), (0, 0, 0)), sky)
         folder = tmp_path / str(sky.pixels.shape[0])
         precompute(scene, jr.Transport("vertices", resolution=4, coefficients=8), folder)
-        stored = stored_environment(load(folder))
+        stored = jr.open_store(folder).scene_lights().environment
         assert stored is not None
         np.testing.assert_array_equal(stored.pixels, sky.pixels)
         assert (stored.rotate_y, stored.scale, stored.notes) == (sky.rotate_y, sky.scale, ())

@@ -12,10 +12,11 @@ from jaxrelight import InputError, Part, Scene
 from jaxrelight.brdf.material import Component, Material
 from jaxrelight.gather.gather_cloud import gather_cloud
 from jaxrelight.lighting.indirect import IndirectRelighter
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.lights.lights import LightsLike
 from jaxrelight.lights.local import directional, point, spot
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation import cloud_layers as indirect
-from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
 from tests.gather.test_final_gather import kernel_at_parts
 
@@ -40,8 +41,19 @@ def ball(material: str) -> Part:
 
 
 def opened(scene: Scene, folder, **dials) -> IndirectRelighter:
-    made = precompute(scene, dataclasses.replace(SMALL, **dials), folder)
-    return IndirectRelighter(load(made.folder, made.header, made.geometry))
+    relighter = jr.prepare(scene, dataclasses.replace(SMALL, **dials), folder)
+    assert isinstance(relighter, IndirectRelighter)
+    return relighter
+
+
+def reflected(relighter: IndirectRelighter, lights: LightsLike, bounces: int | None = None) -> np.ndarray:
+    """Radiance of the pixels by light that was reflected on its way to them."""
+    return np.asarray(relighter.final_gather(relighter.light(lights, bounces).cloud, relighter.view()))
+
+
+def picture(relighter: IndirectRelighter, lights: LightsLike, bounces: int | None = None) -> np.ndarray:
+    """All of the light."""
+    return np.asarray(relighter.shade(relighter.light(lights, bounces), relighter.view()).radiance)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +75,7 @@ def test_a_closed_room_that_emits_is_its_series(tmp_path):
     """E (1 + ρ + … + ρ^B) from all directions."""
     relighter = opened(room([0.5, 0.4, 0.8], np.ones(3, np.float32)), tmp_path, gather_samples=4096)
     for bounces in (1, 2, 3):
-        found = np.asarray(relighter.indirect([], bounces))
+        found = reflected(relighter, [], bounces)
         rho = np.array([0.5, 0.4, 0.8])
         wanted = (1 - rho ** (bounces + 1)) / (1 - rho)
         np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted, rtol=0.02)
@@ -72,8 +84,8 @@ def test_a_closed_room_that_emits_is_its_series(tmp_path):
 
 def test_light_is_linear(relighter):
     lamps = LAMP, spot([-0.2, 0.3, 0], [0, -0.5, 0], 2.0, 40.0), directional([0.1, -1, 0.2], 0.5)
-    each = [np.asarray(relighter.indirect([lamp])) for lamp in lamps]
-    together = np.asarray(relighter.indirect(lamps))
+    each = [reflected(relighter, [lamp]) for lamp in lamps]
+    together = reflected(relighter, lamps)
     np.testing.assert_allclose(together, sum(each), rtol=1e-4, atol=1e-6)
     assert all(one.max() > 0.01 for one in each[:2])
     # Nothing from outside of a closed room.
@@ -81,7 +93,7 @@ def test_light_is_linear(relighter):
 
 
 def test_more_bounces_are_brighter_by_less(relighter):
-    none, *some = (np.asarray(relighter.indirect([LAMP], bounces)).sum() for bounces in range(4))
+    none, *some = (reflected(relighter, [LAMP], bounces).sum() for bounces in range(4))
     assert none == 0
     steps = np.diff([0, *some])
     assert (steps > 0).all()
@@ -90,20 +102,20 @@ def test_more_bounces_are_brighter_by_less(relighter):
 
 def test_what_is_gathered_is_what_the_cloud_reflects(relighter):
     """One bounce, pixel by pixel, as a sum over the points, for the diffuse walls."""
-    transport, cloud = relighter.transport, relighter.cloud.points
-    seen = transport.seen
+    geometry, cloud = relighter.transport.geometry, relighter.precomputed.points
+    seen = geometry.visible
     assert seen is not None
-    light = np.asarray(relighter.cloud_light([LAMP]))
-    image = np.asarray(relighter.gathered(light)).reshape(-1, 3)[seen.covered.reshape(-1)]
+    light = relighter.direct_light_at_cloud([LAMP])
+    image = np.asarray(relighter.final_gather(light, relighter.view())).reshape(-1, 3)[seen.covered.reshape(-1)]
     for pixel in np.flatnonzero(seen.mesh == 0)[::7]:
-        share = kernel_at_parts(cloud, transport.tracer, seen.positions[pixel], seen.face_normals[pixel])
+        share = kernel_at_parts(cloud, geometry.tracer, seen.positions[pixel], seen.face_normals[pixel])
         np.testing.assert_allclose(image[pixel], np.array([0.7, 0.6, 0.5]) * (share @ light), rtol=0.15, atol=2e-3)
 
 
 def test_codes_and_coefficients_are_near(scene, folder, relighter):
-    wanted = np.asarray(relighter.indirect([LAMP]))
-    for dials, most in (({"tolerance": 0.02, "bits": 8}, 0.05), ({"coefficients": 100}, 0.1)):
-        found = np.asarray(opened(scene, folder, **dials).indirect([LAMP]))
+    wanted = reflected(relighter, [LAMP])
+    for dials, most in (({"compression_tolerance": 0.02, "bits": 8}, 0.05), ({"coefficients": 100}, 0.1)):
+        found = reflected(opened(scene, folder, **dials), [LAMP])
         assert 0 < np.linalg.norm(found - wanted) < most * np.linalg.norm(wanted)
 
 
@@ -111,17 +123,17 @@ def test_gradients_in_lights_and_albedo(relighter):
     """Along a random direction, shadows held fixed, against differences."""
     random = np.random.default_rng(0)
     weights = random.uniform(size=(10, 12, 3)).astype(np.float32)
-    lamp = spot([0.1, 0.2, 0.05], [-0.3, -0.5, 0.1], [1.0, 0.8, 0.6], 70.0, 30.0)
+    lamp, view = spot([0.1, 0.2, 0.05], [-0.3, -0.5, 0.1], [1.0, 0.8, 0.6], 70.0, 30.0), relighter.view()
 
     @jax.jit
     @jax.value_and_grad
     def bright(given):
         lamp, albedo = given
-        light = relighter.spread(relighter.cloud_light([lamp], albedo, shadows=False), 3, albedo)
+        light = relighter.add_bounces(relighter.direct_light_at_cloud([lamp], albedo, shadows=False), 3, albedo)
         # What diffuse surfaces gather of the cloud its points have gathered of each other.
-        return jnp.sum(weights * relighter.gathered(light, "glossy"))
+        return jnp.sum(weights * relighter.final_gather(light, view, "glossy"))
 
-    given = jax.tree.map(np.asarray, (lamp, relighter.albedo))
+    given = jax.tree.map(np.asarray, (lamp, relighter.precomputed.cloud.albedo))
     _, gradient = bright(given)
     along = jax.tree.map(lambda leaf: random.normal(size=leaf.shape).astype(np.float32), given)
     step = np.float32(1e-3)
@@ -132,11 +144,11 @@ def test_gradients_in_lights_and_albedo(relighter):
 
 
 def test_pictures_have_direct_light_of_several_samples(relighter):
-    image = relighter.image([LAMP])
+    image = relighter.picture([LAMP])
     assert image.shape == (10, 12, 4)
     np.testing.assert_array_equal(image[..., 3], 1)
-    direct = relighter.image([LAMP], bounces=0)[..., :3]
-    indirect = np.asarray(relighter.indirect([LAMP]))
+    direct = picture(relighter, [LAMP], 0)
+    indirect = reflected(relighter, [LAMP])
     # Along edges pixels are means of samples that see this and that.
     off = np.abs(image[..., :3] - direct - indirect)
     assert np.median(off) < 1e-6
@@ -153,8 +165,8 @@ def test_what_is_there_is_used_again(scene, folder, relighter):
     made = precompute(other, SMALL, folder)
     assert made.rays == 0
     assert all(path.stat().st_mtime_ns == time for path, time in times.items())
-    darker = np.asarray(opened(other, folder).indirect([LAMP])).sum()
-    assert darker < 0.5 * np.asarray(relighter.indirect([LAMP])).sum()
+    darker = reflected(opened(other, folder), [LAMP]).sum()
+    assert darker < 0.5 * reflected(relighter, [LAMP]).sum()
 
 
 def test_points_are_read_from_the_store_and_made_again_when_damaged(scene, folder, monkeypatch):
@@ -174,18 +186,20 @@ def test_points_are_read_from_the_store_and_made_again_when_damaged(scene, folde
     assert times == [1, 2]
 
 
-def test_stores_of_another_kind_are_refused(tmp_path):
-    scene = Scene([Part(jr.plane((1, 1), 2), "wall")], {"wall": jr.lambert(0.5)}, jr.Camera((0, 1, 0.1), (0, 0, 0)))
-    precompute(scene, Transport("vertices", resolution=4), tmp_path)
-    with pytest.raises(InputError, match="a store for light of the sky"):
-        IndirectRelighter(load(tmp_path))
+def test_a_store_is_opened_as_what_it_was_made_for(tmp_path, scene, folder, relighter):
+    again = jr.open_store(folder)
+    assert isinstance(again, IndirectRelighter)
+    np.testing.assert_array_equal(reflected(again, LAMP), reflected(relighter, LAMP))
+    wall = Scene([Part(jr.plane((1, 1), 2), "wall")], {"wall": jr.lambert(0.5)}, jr.Camera((0, 1, 0.1), (0, 0, 0)))
+    precompute(wall, Transport("vertices", resolution=4), tmp_path)
+    assert isinstance(jr.open_store(tmp_path), TransportRelighter)
 
 
 def test_more_bounces_than_precomputed_are_refused(scene, folder):
     relighter = opened(scene, folder, bounces=1)
-    relighter.indirect([LAMP])
+    reflected(relighter, [LAMP])
     with pytest.raises(InputError, match="precomputed for one bounce"):
-        relighter.indirect([LAMP], 2)
+        reflected(relighter, [LAMP], 2)
 
 
 def test_only_glossy_surfaces_tell_points_apart(tmp_path):

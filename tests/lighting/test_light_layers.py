@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from jaxrelight import InputError
+from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lighting.light_layers import LightLayers
 from jaxrelight.lights.local import point
-from tests.lighting.test_indirect import LAMP, opened, room
+from tests.lighting.test_indirect import LAMP, opened, picture, room
 
 OTHER = point([-0.2, 0.1, 0.0], [0.2, 0.4, 0.8])
 
@@ -23,17 +24,17 @@ def relighter(tmp_path_factory):
 
 def test_the_sum_is_the_picture_by_all_of_them(relighter):
     layers = LightLayers(relighter, [LAMP, OTHER])
-    np.testing.assert_allclose(layers.picture(), relighter.picture([LAMP, OTHER]), rtol=1e-4, atol=1e-5)
-    tinted = [LAMP, point(OTHER.position, OTHER.intensity * jnp.asarray([2.0, 0.5, 0.0]))]
+    np.testing.assert_allclose(layers.picture(), picture(relighter, [LAMP, OTHER]), rtol=1e-4, atol=1e-5)
+    tinted = [LAMP, point(OTHER.position, np.asarray(OTHER.intensity) * [2.0, 0.5, 0.0])]
     found = layers.picture([1.0, [2.0, 0.5, 0.0]])
-    np.testing.assert_allclose(found, relighter.picture(tinted), rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(layers.picture([0, 0]), relighter.picture([]), atol=1e-6)
+    np.testing.assert_allclose(found, picture(relighter, tinted), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(layers.picture([0, 0]), picture(relighter, []), atol=1e-6)
     assert LightLayers(relighter, []).picture().mean() > 0.05
 
 
 def test_moving_one_computes_one(relighter):
     layers = LightLayers(relighter, [LAMP, OTHER])
-    with mock.patch.object(relighter, "picture", wraps=relighter.picture) as computed:
+    with mock.patch.object(IndirectRelighter, "light", autospec=True, side_effect=IndirectRelighter.light) as computed:
         layers.move(1, LAMP)
         layers.picture([1.0, 0.5])
     assert computed.call_count == 1

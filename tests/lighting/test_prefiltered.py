@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,23 +21,25 @@ from jaxrelight import (
     lobe_sum,
     phong,
     plane,
+    prepare,
     read_image,
     sphere,
 )
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.material import Component, Material, as_material
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.geometry.tracer import Tracer
-from jaxrelight.lighting.prefiltered import Seen, SeenComponent, look_at, prefiltered_radiance, seen_component
-from jaxrelight.lighting.prepare import open_store
+from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.prefiltered import PrefilteredRelighter, prefiltered_radiance, shade_environment
+from jaxrelight.lighting.shadows import all_visible, group_lights, trace_visibility
+from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces, surface_material
 from jaxrelight.lights.local import directional, point
 from jaxrelight.lights.prefiltered import prefilter
-from jaxrelight.methods import Transport
+from jaxrelight.methods import Prefiltered, Transport
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.precomputation.precompute import precompute
 from tests.shared_data import shared
 
 CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 24, 20)
@@ -64,10 +66,46 @@ def sky() -> np.ndarray:
     return pixels
 
 
+class Seen(NamedTuple):
+    """A scene's materials, and what its camera sees of them."""
+
+    materials: tuple[SurfaceMaterial, ...]
+    view: VisibleSurfaces
+
+    @property
+    def covered(self) -> np.ndarray:
+        return np.asarray(self.view.covered)
+
+
+def prepared(scene: Scene, **dials) -> PrefilteredRelighter:
+    relighter = prepare(scene, Prefiltered(map_rows=32, **dials))
+    assert isinstance(relighter, PrefilteredRelighter)
+    return relighter
+
+
+def look(scene: Scene, **dials) -> Seen:
+    relighter = prepared(scene, **dials)
+    return Seen(relighter.materials, relighter.view())
+
+
+def under(seen: Seen, maps, *given, **how):
+    """What `shade_environment` makes of a filtered environment."""
+    return shade_environment(*seen, maps, *given, **how)
+
+
+def lit_by(seen: Seen, lights, shadows: bool = True, **how):
+    """What `shade_lights` makes of local lights, with shadow rays or without."""
+    groups = group_lights(lights)
+    visibility = (trace_visibility if shadows else all_visible)(seen.view.points, groups)
+    radiance = shade_lights(*seen, groups, visibility, **how)
+    assert radiance is not None
+    return radiance
+
+
 @functools.cache
 def lafortune() -> Seen:
     """The ball of LAFORTUNE, as the camera sees it."""
-    return look_at(ball(LAFORTUNE))
+    return look(ball(LAFORTUNE))
 
 
 @jax.jit
@@ -77,63 +115,81 @@ def radiances(brdfs, maps):
     return jax.vmap(lambda one: prefiltered_radiance(one, eye, jnp.eye(3), maps))(brdfs)
 
 
-def pictured(seen: Seen, colour) -> np.ndarray:
-    return np.concatenate([np.asarray(colour), seen.covered[..., None]], axis=-1, dtype=np.float32)
-
-
 @pytest.mark.parametrize("name", ["room_spot", pytest.param("room_point", marks=pytest.mark.slow)])
 def test_local_lights_with_shadows_are_those_of_another_renderer(name):
     scene = load_scene(shared("reference", f"{name}.toml"))
-    seen = look_at(scene)
-    error = image_error(pictured(seen, seen.lit_by(scene.lights)), read_image(shared("reference", f"{name}_b0.exr")))
+    image = prepared(scene).picture(scene.lights.local, background=False)
+    error = image_error(image, read_image(shared("reference", f"{name}_b0.exr")))
     assert error.trimmed < 1e-3
     assert abs(error.mean_ratio - 1) < 2e-3
 
 
 def test_a_ball_is_lit_as_by_exact_transport_and_better_than_with_the_cosine_outside(tmp_path):
     light = environment(sky(), rotate_y=37, scale=2)
-    scene = dataclasses.replace(ball(LAFORTUNE), environment=light)
-    exact = open_store(precompute(scene, Transport("pixels", 32, coefficients="all"), tmp_path).folder)
-    truth = exact.image(light, exact.view(), background=False)
-    seen, maps = look_at(scene), filtered()
+    scene = dataclasses.replace(ball(LAFORTUNE), lights=light)
+    exact = prepare(scene, Transport("pixels", 32, coefficients="all"), tmp_path)
+    truth = exact.picture(background=False)
     cut, outside = (
-        image_error(pictured(seen, seen.under(maps, light.rotate_y, light.scale, horizon)), truth)
-        for horizon in ("cut", "outside")
+        image_error(prepared(scene, horizon=horizon).picture(background=False), truth) for horizon in ("cut", "outside")
     )
     assert cut.trimmed < 0.02
     assert cut.trimmed < 0.5 * outside.trimmed
     assert cut.untrimmed < outside.untrimmed
 
 
+def test_pictures_are_the_environment_local_lights_and_emission():
+    """The steps by themselves add up to what the relighter shades; the dial of shadows reaches it."""
+    glow = np.array([0.3, 0.2, 0.1], np.float32)
+    parts = [Part(sphere(0.5, 12), "skin"), Part(plane((4, 4), 1), "lamp")]
+    lamp = Material(as_material(phong(0.5, 0, 1)).components, emission=glow)
+    scene = Scene(parts, {"skin": LAFORTUNE, "lamp": lamp}, CAMERA)
+    local, seen = [point([2, 1, 0], 3), directional([-1, -1, 0], 2)], look(scene)
+    on_lamp = np.zeros(seen.covered.size, bool)
+    (number,) = (k for k, one in enumerate(seen.materials) if one.name == "lamp")
+    for part in seen.view.parts:
+        pixel = np.asarray(part.pixels.pixel)
+        on_lamp[pixel[pixel < on_lamp.size]] = part.material == number
+    emitted = on_lamp.reshape(seen.covered.shape)[..., None] * glow
+    for shadows in (True, False):
+        relighter = prepared(scene, shadows=shadows)
+        lit = relighter.light([environment(sky(), rotate_y=37, scale=2), *local])
+        image = relighter.shade(lit, relighter.view())
+        wanted = under(seen, filtered(), 37, 2) + lit_by(seen, local, shadows) + emitted
+        np.testing.assert_allclose(image.radiance, wanted, rtol=1e-5, atol=1e-6)
+        np.testing.assert_array_equal(image.alpha, seen.covered)
+        alone = relighter.shade(relighter.light(None), relighter.view())
+        np.testing.assert_allclose(alone.radiance, emitted, rtol=1e-6)
+
+
 def test_turning_the_map_is_turning_its_pixels():
     seen, pixels = lafortune(), sky()
-    turned = seen.under(prefilter(np.roll(pixels, -8, axis=1), 32))
-    np.testing.assert_allclose(seen.under(filtered(), 90), turned, rtol=2e-3, atol=1e-4)
+    turned = under(seen, prefilter(np.roll(pixels, -8, axis=1), 32))
+    np.testing.assert_allclose(under(seen, filtered(), 90), turned, rtol=2e-3, atol=1e-4)
 
 
 def test_the_background_is_the_map_as_it_is_turned():
-    seen, light = lafortune(), environment(sky(), 90, 2)
+    view, light = lafortune().view, environment(sky(), 90, 2)
     turned = environment(2 * np.roll(sky(), -8, axis=1))
-    np.testing.assert_allclose(seen.background(light), seen.background(turned), rtol=1e-6)
-    assert np.asarray(seen.background(light)).std() > 0.01
+    np.testing.assert_allclose(view.background(light), view.background(turned), rtol=1e-6)
+    assert np.asarray(view.background(light)).std() > 0.01
 
 
 def test_light_adds_up_and_scales():
     seen = lafortune()
     one, two = point([2, 3, 1], [5, 4, 3]), directional([-1, -1, 0], 2)
-    both = seen.lit_by([one, two])
-    np.testing.assert_allclose(both, seen.lit_by([one]) + seen.lit_by([two]), rtol=1e-5)
+    both = lit_by(seen, [one, two])
+    np.testing.assert_allclose(both, lit_by(seen, [one]) + lit_by(seen, [two]), rtol=1e-5)
     maps = filtered()
-    np.testing.assert_allclose(seen.under(maps, 0, 3), 3 * seen.under(maps), rtol=1e-5)
+    np.testing.assert_allclose(under(seen, maps, 0, 3), 3 * under(seen, maps), rtol=1e-5)
 
 
 def test_shadows_only_take_away_and_can_be_left_out():
     parts = [Part(sphere(0.5, 12), "skin"), Part(plane((4, 4), 1), "skin")]
-    seen = look_at(Scene(parts, {"skin": phong(0.5, 0, 1)}, CAMERA))
+    seen = look(Scene(parts, {"skin": phong(0.5, 0, 1)}, CAMERA))
     lamp = point([2, 1, 0], 3)
-    with_shadows, without = seen.lit_by([lamp]), seen.lit_by([lamp], shadows=False)
+    with_shadows, without = (np.asarray(lit_by(seen, [lamp], shadows)) for shadows in (True, False))
     assert (with_shadows <= without).all()
-    dark = np.asarray((with_shadows == 0) & (without > 0)).any(axis=-1)
+    dark = ((with_shadows == 0) & (without > 0)).any(axis=-1)
     assert 0.02 < dark.mean() < 0.5
 
 
@@ -144,7 +200,7 @@ def test_what_stands_behind_a_lamp_casts_no_shadow():
     camera = dataclasses.replace(CAMERA, origin=(0.2, 1.5, 3.0))
     lamp = [point([0.0, 2, 0], 3)]
     alone, under = (
-        look_at(Scene([Part(mesh, "skin") for mesh in meshes], {"skin": phong(0.5, 0, 1)}, camera)).lit_by(lamp)
+        lit_by(look(Scene([Part(mesh, "skin") for mesh in meshes], {"skin": phong(0.5, 0, 1)}, camera)), lamp)
         for meshes in ([floor], [floor, roof])
     )
     assert (np.asarray(alone)[-1] > 0).all()
@@ -164,10 +220,10 @@ def test_lobes_of_each_channel_are_seen_in_that_channel():
 
 def test_weights_multiply_what_is_reflected():
     factors = np.array([0.25, 0.5, 1.0], np.float32)
-    less = look_at(ball(Material((Component(LAFORTUNE, (Texture(as_array(factors[None, None])),)),))))
+    less = look(ball(Material((Component(LAFORTUNE, (Texture(as_array(factors[None, None])),)),))))
     whole, lamp = lafortune(), [point([2, 3, 1], 5)]
-    np.testing.assert_allclose(less.lit_by(lamp), whole.lit_by(lamp) * factors, rtol=1e-5)
-    np.testing.assert_allclose(less.under(filtered()), whole.under(filtered()) * factors, rtol=1e-5)
+    np.testing.assert_allclose(lit_by(less, lamp), lit_by(whole, lamp) * factors, rtol=1e-5)
+    np.testing.assert_allclose(under(less, filtered()), under(whole, filtered()) * factors, rtol=1e-5)
 
 
 def test_a_ray_is_blocked_only_by_what_is_nearer_than_the_light():
@@ -200,14 +256,14 @@ def test_every_texel_has_its_own_lobes():
     same = lobe_sum(flat["diffuse"], lobes)
     scenes = [card(brdf) for brdf in (Material((Component(spatial),)), same)]
     pictures = [
-        np.asarray(seen.under(filtered())) + np.asarray(seen.lit_by([point([1, 2, 1], 3)]))
-        for seen in map(look_at, scenes)
+        np.asarray(under(seen, filtered())) + np.asarray(lit_by(seen, [point([1, 2, 1], 3)]))
+        for seen in map(look, scenes)
     ]
     np.testing.assert_allclose(*pictures, rtol=2e-3)
     diffuse = np.array(spatial.diffuse)
     diffuse[0, 0] = 1
-    seen = look_at(card(Material((Component(dataclasses.replace(spatial, diffuse=diffuse)),))))
-    assert (np.asarray(seen.under(filtered())) - pictures[0]).max() > 0.01
+    seen = look(card(Material((Component(dataclasses.replace(spatial, diffuse=diffuse)),))))
+    assert (np.asarray(under(seen, filtered())) - pictures[0]).max() > 0.01
 
 
 def test_directions_of_anisotropy_follow_the_texture_coordinates():
@@ -222,7 +278,7 @@ def test_directions_of_anisotropy_follow_the_texture_coordinates():
         spatial = SpatialLobes(*(as_array(part, np.float32) for part in one))
         scene = Scene([Part(mesh, "card")], {"card": Material((Component(spatial),))}, CAMERA)
         assert scene.surfaces().uv_tangents.all()
-        return np.asarray(look_at(scene).lit_by(lamp))
+        return np.asarray(lit_by(look(scene), lamp))
 
     np.testing.assert_allclose(brushed(turned, 1), brushed(card, -1), atol=1e-5)
     assert np.abs(brushed(card, 1) - brushed(card, -1)).max() > 0.05
@@ -249,11 +305,11 @@ def test_reflectance_between_texels_is_the_mean_of_theirs():
     found = np.asarray(radiances(several, filtered()))
     np.testing.assert_allclose(np.asarray(weights) @ found[:4], found[4:].mean(axis=0), rtol=1e-4)
     assert np.abs(found[4] - found[5]).max() > 0.01
-    seen = look_at(card(Material((Component(pair),))))
+    seen = look(card(Material((Component(pair),))))
     lamp = [point([0.3, 2, -1], 3)]
     for light, most in (
-        (lambda kind: seen.under(filtered(), texels=kind), 1),
-        (lambda kind: seen.lit_by(lamp, texels=kind), np.inf),
+        (lambda kind: under(seen, filtered(), texels=kind), 1),
+        (lambda kind: lit_by(seen, lamp, texels=kind), np.inf),
     ):
         by_parameters, by_reflectance = (np.asarray(light(kind)) for kind in ("parameters", "reflectance"))
         assert 1e-3 < np.abs(by_parameters - by_reflectance).max() < most
@@ -266,9 +322,8 @@ def test_gradients_in_lights_and_materials_are_right():
     @jax.jit
     @functools.partial(jax.value_and_grad, argnums=(0, 1, 2))
     def brightness(light, lobes, rotate_y):
-        part = dataclasses.replace(seen.materials[0], components=(seen_component(Component(lobes)),))
-        mine = dataclasses.replace(seen, materials=(part,))
-        return jnp.mean(mine.lit_by([light])) + jnp.mean(mine.under(maps, rotate_y))
+        mine = seen._replace(materials=(surface_material("skin", as_material(lobes)),))
+        return jnp.mean(lit_by(mine, [light])) + jnp.mean(under(mine, maps, rotate_y))
 
     given = point([2, 2, 2], 4.0), LAFORTUNE, np.float32(20)
     value, slopes = brightness(*given)
@@ -286,10 +341,11 @@ def test_gradients_in_lights_and_materials_are_right():
 
 
 def test_what_is_no_sum_of_lobes_is_refused_under_an_environment_and_not_under_lamps():
-    seen = look_at(ball(ashikhmin_shirley(0.3, 0.2, 10, 50)))
+    relighter = prepared(ball(ashikhmin_shirley(0.3, 0.2, 10, 50)))
+    lamp = point([2, 2, 2], 4.0)
     with pytest.raises(InputError, match=r"\[material.skin\]: prefiltered environments are for sums of lobes"):
-        seen.under(filtered())
-    assert np.asarray(seen.lit_by([point([2, 2, 2], 4.0)])).max() > 0
+        relighter.light([lamp, environment(sky())])
+    assert relighter.picture(lamp)[..., :3].max() > 0
 
 
 def test_exponents_and_peaks_at_the_extremes_are_finite():
@@ -297,10 +353,9 @@ def test_exponents_and_peaks_at_the_extremes_are_finite():
         for C in ([-1, -1, 1], [-2, -2, 1.5], [0.5, 0.5, -1], [0, 0, 0]):
             lobes = np.tile(C, (2, 1, 1)), np.full((2, 1), exponent), np.full((2, 3), 0.1)
             brdf = LobeSum(LAFORTUNE.diffuse, *(as_array(of, np.float32) for of in lobes))
-            part = dataclasses.replace(lafortune().materials[0], components=(SeenComponent(brdf, ()),))
-            seen = dataclasses.replace(lafortune(), materials=(part,))
-            assert np.isfinite(seen.under(filtered())).all()
-            assert np.isfinite(seen.lit_by([directional([0, -1, 0], 1)])).all()
+            seen = lafortune()._replace(materials=(surface_material("skin", as_material(brdf)),))
+            assert np.isfinite(under(seen, filtered())).all()
+            assert np.isfinite(lit_by(seen, [directional([0, -1, 0], 1)])).all()
 
 
 @pytest.mark.parametrize("texels", ["parameters", pytest.param("reflectance", marks=pytest.mark.slow)])
@@ -323,8 +378,8 @@ def test_texels_smaller_than_pixels_are_seen_at_coarser_levels(texels):
     lamp, sky = [point([1, 2, 1], 3)], filtered()
     for component in (Component(maps), Component(lobe_sum([0.5] * 3, []), (weight,))):
         scene = Scene([Part(plane((8, 8), 2), "card")], {"card": Material((component,))}, CAMERA)
-        seen = look_at(scene)
-        for image in (seen.under(sky, texels=texels), seen.lit_by(lamp, shadows=False, texels=texels)):
+        seen = look(scene)
+        for image in (under(seen, sky, texels=texels), lit_by(seen, lamp, shadows=False, texels=texels)):
             assert np.asarray(image)[seen.covered].min() > 0
-    near = look_at(dataclasses.replace(scene, materials={"card": Material((Component(maps),))}), "none")
-    assert not np.asarray(near.under(sky, texels=texels)).any()
+    near = look(dataclasses.replace(scene, materials={"card": Material((Component(maps),))}), minification="none")
+    assert not np.asarray(under(near, sky, texels=texels)).any()

@@ -10,11 +10,10 @@ import pytest
 ROOT = pathlib.Path(__file__).parents[2]
 
 CHILD = """
-import dataclasses, sys
+import sys
+import equinox as eqx
 import jax, numpy as np
 import jaxrelight as jr
-
-from jaxrelight.operators.sharded import sharded
 
 parts = [jr.Part(jr.plane((2, 2), 4), "paper"), jr.Part(jr.sphere(0.35, 4), "wall")]
 materials = {"paper": jr.lambert([0.7, 0.6, 0.5]), "wall": jr.lambert(0.3)}
@@ -24,17 +23,20 @@ sky = np.random.default_rng(0).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
 def lit(relighter):
     view = relighter.view()
     def picture(sky):
-        return relighter.shade(relighter.terms(relighter.light_vector(sky)), view)
+        return relighter.shade_terms(relighter.terms(relighter.light_vector(sky)), view)
     gradient = jax.grad(lambda sky: (picture(sky) ** 2).sum())(sky)
     return relighter.terms(relighter.light_vector(sky)), picture(sky), gradient
 
 for coefficients in "shared", 48:
-    folder = f"{sys.argv[1]}/{coefficients}"
-    precompute(scene, jr.Transport("vertices", resolution=8, coefficients=coefficients), folder)
-    transport = load(folder)
+    method = jr.Transport("vertices", resolution=8, coefficients=coefficients)
+    relighter = jr.prepare(scene, method, f"{sys.argv[1]}/{coefficients}")
     mesh = jax.make_mesh((4,), ("groups",))
-    spread = dataclasses.replace(transport, operator=sharded(transport.operator, mesh))
-    one, many = lit(TransportRelighter(transport)), lit(TransportRelighter(spread))
+    spread = eqx.tree_at(
+        lambda of: [block.operator for block in of.transport.blocks],
+        relighter,
+        [jr.sharded(block.operator, mesh) for block in relighter.transport.blocks],
+    )
+    one, many = lit(relighter), lit(spread)
     assert all(len(terms.sharding.device_set) == 4 for terms in many[0])
     for wanted, found in zip(*map(jax.tree.leaves, (one, many)), strict=True):
         assert wanted.shape == found.shape

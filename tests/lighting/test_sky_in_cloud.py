@@ -10,11 +10,10 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import InputError, Part, Scene
 from jaxrelight.basis import latlong
-from jaxrelight.lighting.indirect import IndirectRelighter
 from jaxrelight.lights.local import point
 from jaxrelight.lights.sky import even_sky, mean_radiance, nearest_directions, sky_of
 from jaxrelight.methods import Indirect
-from tests.lighting.test_indirect import opened, room
+from tests.lighting.test_indirect import opened, reflected, room
 
 CAMERA = jr.Camera((0, 0.6, 1.2), (0, 0.1, 0), fov_y=40.0, width=12, height=10)
 ONES = jr.environment(np.ones((8, 16, 3)))
@@ -41,8 +40,7 @@ def object_outdoors(tmp_path_factory):
 
 def test_an_open_floor_under_an_even_sky_is_its_albedo(tmp_path):
     relighter = opened(outdoors(), tmp_path, gather_samples=1024, sky=True, bounces=1)
-    seen = relighter.view.covered
-    found = np.asarray(relighter.indirect([], sky=ONES))[seen]
+    found = reflected(relighter, ONES)[np.asarray(relighter.view().pixels.surfaces.covered)]
     np.testing.assert_allclose(found, np.tile([0.5, 0.4, 0.3], (len(found), 1)), rtol=0.02)
 
 
@@ -58,9 +56,11 @@ def test_all_light_of_a_map_is_in_one_direction_or_another():
 
 @pytest.mark.parametrize("bounces", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
-    sky, relighter = gradient(), IndirectRelighter(object_outdoors.transport, samples=1)
-    found = np.asarray(relighter.picture([], bounces, sky))
-    wanted = np.asarray(relighter.picture([sky_of(sky, 100)], bounces))
+    sky, view = gradient(), object_outdoors.view(direct_samples=1)
+    found, wanted = (
+        np.asarray(object_outdoors.shade(object_outdoors.light(lights, bounces), view).radiance)
+        for lights in (sky, sky_of(sky, 100))
+    )
     assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted)
     np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted.mean(axis=(0, 1)), rtol=0.05)
 
@@ -68,7 +68,7 @@ def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
 def test_every_bounce_of_a_sky_adds_light(object_outdoors):
     """Without any, pixels see the sky itself; what is added grows less."""
     sky = gradient()
-    found = np.asarray([object_outdoors.indirect([], bounces, sky).mean() for bounces in range(4)])
+    found = np.asarray([reflected(object_outdoors, sky, bounces).mean() for bounces in range(4)])
     added = np.diff(found)
     assert found[0] > 0
     assert (added > 1e-4 * found[0]).all()
@@ -76,18 +76,24 @@ def test_every_bounce_of_a_sky_adds_light(object_outdoors):
 
 
 def test_layers_add_up(object_outdoors):
-    layers = object_outdoors.layers([point([0.4, 0.8, 0.4], 1.0)], sky=gradient())
+    lights, view = [point([0.4, 0.8, 0.4], 1.0), gradient()], object_outdoors.view()
+    image = object_outdoors.layers(lights, view)
+    layers = image.layers
     whole = sum(layers[name] for name in ("direct", "indirect.diffuse", "indirect.glossy"))
+    np.testing.assert_allclose(image.radiance, whole, rtol=1e-6)
     np.testing.assert_allclose(layers["light1"] + layers["sky"], whole, rtol=1e-3, atol=1e-5)
+    shaded = object_outdoors.shade(object_outdoors.light(lights), view)
+    np.testing.assert_allclose(shaded.radiance, whole, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(shaded.radiance, sum(shaded.layers.values()), rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_derivatives_in_the_map_and_its_turn(object_outdoors):
-    pixels = jnp.asarray(gradient().pixels)
+    pixels, view = jnp.asarray(gradient().pixels), object_outdoors.view()
 
     def bright(pixels, turn):
-        light = object_outdoors.spread(object_outdoors.sky_light(pixels, turn), 2)
-        return jnp.sum(object_outdoors.gathered(light)[..., 0] ** 2)
+        light = object_outdoors.add_bounces(object_outdoors.sky_light(pixels, turn), 2)
+        return jnp.sum(object_outdoors.final_gather(light, view)[..., 0] ** 2)
 
     slopes = jax.grad(bright, (0, 1))(pixels, 10.0)
     assert all(np.isfinite(slope).all() for slope in slopes)
@@ -98,9 +104,14 @@ def test_derivatives_in_the_map_and_its_turn(object_outdoors):
 
 
 def test_stores_without_a_sky_say_so(tmp_path):
-    relighter = opened(room(0.5), tmp_path, bounces=1)
+    """And light an environment by many distant lights."""
+    relighter = opened(outdoors(), tmp_path, bounces=1, sky_samples=64)
     with pytest.raises(InputError, match="precomputed without the sky; precompute with --sky"):
-        relighter.indirect([], sky=ONES)
+        relighter.sky_light(ONES.pixels)
+    (group,) = relighter.light(ONES).groups
+    assert np.asarray(group.is_real).sum() == 64
+    image = relighter.picture(ONES, background=False)
+    np.testing.assert_allclose(image[image[..., 3] == 1][:, :3].mean(axis=0), [0.5, 0.4, 0.3], rtol=0.02)
 
 
 def test_photons_do_not_come_from_it():
@@ -110,6 +121,6 @@ def test_photons_do_not_come_from_it():
 
 def test_in_a_closed_room_it_is_dark(tmp_path):
     relighter = opened(room(0.5), tmp_path, gather_samples=1024, sky=True, bounces=1)
-    np.testing.assert_allclose(relighter.indirect([], sky=ONES), 0, atol=1e-5)
-    lamp = [point([0.1, 0.2, 0.05], 1.0)]
-    np.testing.assert_allclose(relighter.indirect(lamp, sky=ONES), relighter.indirect(lamp), atol=1e-5)
+    np.testing.assert_allclose(reflected(relighter, ONES), 0, atol=1e-5)
+    lamp = point([0.1, 0.2, 0.05], 1.0)
+    np.testing.assert_allclose(reflected(relighter, [lamp, ONES]), reflected(relighter, lamp), atol=1e-5)

@@ -13,7 +13,6 @@ from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
-from jaxrelight.transport.rebake import exact
 
 SETTINGS = Transport("vertices", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
 
@@ -39,7 +38,7 @@ def _sky(sun: float, low: float = 0.0) -> jr.Environment:
 
 
 def _terms(relighter: TransportRelighter, sky: jr.Environment) -> np.ndarray:
-    return np.concatenate([np.asarray(part).ravel() for part in relighter.light(sky)])
+    return np.concatenate([np.asarray(part).ravel() for part in relighter.light(sky).terms])
 
 
 @pytest.mark.parametrize(
@@ -56,7 +55,7 @@ def test_a_sun_adds_no_error(tmp_path, change):
     """Nothing of a sun alone is left out; beside a sky, what is left out is of the sky."""
     made = precompute(_scene(), dataclasses.replace(SETTINGS, **change), tmp_path)
     relighter = open_store(made.folder)
-    exact = TransportRelighter(exact(relighter.transport))
+    exact = relighter.exact()
     alone = jr.environment(np.where(_sky(1e5).pixels > 2, _sky(1e5).pixels, 0))
     wanted = _terms(exact, alone)
     assert np.abs(wanted).max() > 1
@@ -73,7 +72,7 @@ def test_a_sun_adds_no_error(tmp_path, change):
 
 def test_a_sun_bounces(tmp_path):
     """Bounced light of a sun is that of its coefficients: what the bounce adds is the same with it split off."""
-    settings = dataclasses.replace(SETTINGS, coefficients="shared", tolerance=0.0)
+    settings = dataclasses.replace(SETTINGS, coefficients="shared", compression_tolerance=0.0)
     pictures = []
     for bounces in (0, 1):
         made = precompute(_scene("paper"), dataclasses.replace(settings, bounces=bounces), tmp_path)
@@ -82,7 +81,8 @@ def test_a_sun_bounces(tmp_path):
         vector = relighter.light_vector(sky.pixels, sky.rotate_y, sky.scale)
         view = relighter.view()
         pictures += [
-            np.asarray(relighter.shade(terms, view)) for terms in (relighter.light(sky), relighter.terms(vector))
+            np.asarray(relighter.shade_terms(terms, view))
+            for terms in (relighter.light(sky).terms, relighter.terms(vector))
         ]
     split, whole = pictures[2] - pictures[0], pictures[3] - pictures[1]
     assert split.max() > 0.1

@@ -134,7 +134,7 @@ def test_a_sun_is_split_off_and_turns_with_the_map(degrees: float):
     pixels = noise(128)
     pixels[40, 100] = 1e5
     light = light_pyramid(environment(pixels, rotate_y=degrees))
-    sun = light.turned_sun()
+    sun = light.sun
     towards = np.asarray(sun.irradiance).sum(axis=1) @ np.asarray(sun.directions)
     towards /= np.linalg.norm(towards)
     # What is left there is no brighter than all else, and is where the sun was.

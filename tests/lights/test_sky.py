@@ -41,6 +41,15 @@ def test_a_map_lights_as_its_pixels_do(rotate_y, scale):
     assert np.linalg.norm(many - wanted) < np.linalg.norm(few - wanted) < 0.1 * np.linalg.norm(wanted)
 
 
+def test_more_directions_than_a_map_has_pixels_are_nearer_to_its_light():
+    """Of which a single one for a pixel of 22° is 2 % off, however many there are."""
+    environment = jr.environment(np.ones((8, 16, 3)), 70.0, 10.0)
+    off = [np.abs(irradiance(sky_of(environment, count)) / (10 * np.pi) - 1).max() for count in (128, 512, 4096)]
+    assert off[0] > 0.015
+    assert off[1] < 0.01
+    assert off[2] < 0.002
+
+
 def test_each_direction_is_a_light():
     sky = even_sky(1.0, 16)
     parts = sky.parts()

@@ -52,3 +52,11 @@ def test_without_light_nothing_is_added():
     found, count = ColumnBlocks(every, COLUMNS).apply(0 * light, 0.1)
     assert count == 0
     assert not found.any()
+
+
+def test_light_of_another_shape_is_refused():
+    every, light = some(3)
+    with pytest.raises(ValueError, match="light has 63 coefficients, the operator 64"):
+        ColumnBlocks(every, COLUMNS).apply(light[1:])
+    with pytest.raises(ValueError, match="light has 2 channels, the operator 3"):
+        ColumnBlocks(every, COLUMNS).apply(light[:, :2])

@@ -7,13 +7,16 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from jax.sharding import Mesh
 
 from jaxrelight.basis import cubemap
+from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factored import Factored
-from jaxrelight.operators.clustered import Clustered, cluster, clustered, quantised_clusters
+from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.quantised import Quantised, quantised
+from jaxrelight.operators.sharded import sharded
 from jaxrelight.operators.sparse_rows import _BLOCK, _FEW, _MANY, SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.transport import bake
@@ -82,8 +85,44 @@ def mixtures(operator: Clustered) -> np.ndarray:
 
 def stacked(dtype) -> tuple[Operator, np.ndarray]:
     parts = [in_clusters(3, dtype), sparse(4, 1, dtype), dense(5, 3, dtype)]
-    spread = [np.broadcast_to(matrix, (len(matrix), 3, D)) for _, matrix in parts]
-    return Stacked(tuple(part for part, _ in parts)), np.concatenate(spread)
+    return Stacked(tuple(part for part, _ in parts)), np.concatenate([spread(matrix) for _, matrix in parts])
+
+
+def spread(matrix: np.ndarray, c: int = 3) -> np.ndarray:
+    """Rows of one channel, the same in c channels; others as they are."""
+    return np.broadcast_to(matrix, (len(matrix), c, matrix.shape[-1]))
+
+
+def summed(dtype) -> tuple[Operator, np.ndarray]:
+    (grey, one), (other, two) = sparse(6, 1, dtype), dense(6, 3, dtype)
+    return grey + other, spread(one) + two
+
+
+def composed(dtype) -> tuple[Operator, np.ndarray]:
+    """The outer one is grey, the inner one is not."""
+    inner, one = sparse(6, 3, dtype)
+    outer = np.random.default_rng(1).normal(size=(5, 1, 6)).astype(dtype)
+    return Dense(jax.device_put(outer)) @ inner, np.einsum("rj,jcd->rcd", outer[:, 0].astype(float), one)
+
+
+def scaled(dtype) -> tuple[Operator, np.ndarray]:
+    """By a number for each channel, which a grey operator has one of."""
+    operator, matrix = sparse(7, 1, dtype)
+    factor = np.array([0.5, -2, 3], dtype)
+    return factor * operator, factor[:, None] * spread(matrix)
+
+
+def in_basis(dtype) -> tuple[Operator, np.ndarray]:
+    """The matrix of encoding has as rows the coefficients of each texel, by `decode` of each coefficient."""
+    operator, matrix = sparse(7, 3, dtype)
+    units: Any = np.eye(D, dtype=dtype)
+    decoded = np.asarray(HaarFaces(4).decode(units), float)
+    return operator @ HaarFaces(4), matrix @ decoded
+
+
+def on_one_device(dtype) -> tuple[Operator, np.ndarray]:
+    operator, matrix = sparse(7, 3, dtype)
+    return sharded(operator, Mesh(np.array(jax.devices()[:1]), ("rows",))), matrix
 
 
 @jax.jit
@@ -109,6 +148,7 @@ def streamed(c: int, dtype) -> tuple[Operator, np.ndarray]:
 
 CASES = {
     "dense": functools.partial(dense, 6, 3),
+    "dense grey": functools.partial(dense, 6, 1),
     "sparse": functools.partial(sparse, 7, 3),
     "sparse grey": functools.partial(sparse, 7, 1),
     "sparse full blocks": functools.partial(sparse, 2 * _BLOCK, 1),
@@ -120,11 +160,18 @@ CASES = {
     "clustered in 8 bits": functools.partial(in_clusters, 3, bits=8),
     "clustered in 16 bits, grey": functools.partial(in_clusters, 1, bits=16),
     "stacked": stacked,
+    "summed": summed,
+    "composed": composed,
+    "scaled": scaled,
+    "in a basis": in_basis,
+    "on one device": on_one_device,
     "streamed": functools.partial(streamed, 3),
     "streamed grey": functools.partial(streamed, 1),
 }
 SMALL = ["dense", "sparse", "sparse grey", "sparse in 16 bits, grey", "clustered", "clustered grey"]
 SMALL += ["clustered in 8 bits", "clustered in 16 bits, grey", "stacked", "streamed", "streamed grey"]
+# Each is a few lines over what it is made of.
+MADE_OF_OTHERS = ["summed", "composed", "scaled", "in a basis"]
 # `Streamed` reads its bits from the host; all others are plain pytrees. The stacked one holds one of each.
 PYTREES = ["sparse grey", "sparse in 16 bits, grey", "clustered", "clustered in 8 bits", "stacked"]
 # What other cases have, each by itself: of blocks, "sparse" and "sparse over a block"; grey, those in bits.
@@ -223,9 +270,86 @@ def test_rows_are_rows_of_the_matrix(name):
     operator, matrix = case(name)
     chosen = np.array([len(matrix) - 1, 0, 2, 2, len(matrix) // 2], np.int32)
     found, whole = ask(written_out, operator, chosen)
-    assert found.dtype == np.float32
+    r, d, c = operator.shape
+    assert (found.shape, whole.shape) == ((5, c, d), (r, c, d))
+    assert found.dtype == whole.dtype == np.float32
+    np.testing.assert_allclose(found, whole[chosen], rtol=1e-6, atol=1e-6)
     assert relative(found, matrix[chosen]) < 1e-6
     assert relative(whole, matrix) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["stacked", "streamed"])
+def test_rows_are_chosen_by_indices_of_any_kind(name):
+    """Those of the host, of the device and traced ones; none give no rows."""
+    operator, matrix = case(name)
+    chosen: Any = np.array([len(matrix) - 1, 0, 2, 2], np.int32)
+    traced = jax.jit(lambda indices: operator.rows(indices))(chosen)
+    for found in (operator.rows(chosen), operator.rows(jax.device_put(chosen)), traced):
+        assert relative(found, matrix[chosen]) < 1e-6
+    assert operator.rows(chosen[:0]).shape == (0, *matrix.shape[1:])
+
+
+# What the shape of light and radiance is refused for; operators of one channel take any number of those.
+REFUSED = {
+    "light has 100 coefficients, the operator 96": lambda operator: operator.apply(random(100, 3)),
+    "light has 3 coefficients, the operator 96": lambda operator: operator.apply(random(3, D)),
+    "light of shape .96,. has not the axes coefficients, channels": lambda operator: operator.apply(random(D)),
+    "light has 95 coefficients, the operator 96": lambda operator: operator.apply_many(random(_MANY, D - 1, 3)),
+    "light of shape .96, 3. has not the axes lights, ": lambda operator: operator.apply_many(random(D, 3)),
+    "radiance has 1 rows, the operator": lambda operator: operator.transpose(random(1, 3)),
+    "radiance of shape .2, 7, 3. has not": lambda operator: operator.transpose(random(2, 7, 3)),
+    "along one axis, not int32 of shape .1, 2.": lambda operator: operator.rows(np.zeros((1, 2), np.int32)),
+    "are integers along one axis, not float32": lambda operator: operator.rows(np.zeros(2, np.float32)),
+}
+OTHER_CHANNELS = {
+    "light has 2 channels, the operator 3": lambda operator: operator.apply(random(D, 2)),
+    "light has 1 channels, the operator 3": lambda operator: operator.apply_many(random(_MANY, D, 1)),
+    "radiance has 2 channels, the operator 3": lambda operator: operator.transpose(random(operator.shape[0], 2)),
+}
+
+
+@pytest.mark.parametrize("name", [*SMALL, *MADE_OF_OTHERS, "on one device"])
+def test_other_shapes_are_refused(name):
+    operator, _ = case(name)
+    refused = REFUSED | (OTHER_CHANNELS if operator.shape[2] == 3 else {})
+    for message, call in refused.items():
+        with pytest.raises(ValueError, match=message) as error:
+            call(operator)
+        assert "\n" not in str(error.value)
+        with pytest.raises(ValueError, match=message):
+            jax.eval_shape(lambda call=call: call(operator))
+
+
+def precisions(operator: Operator, dtype) -> list:
+    """Of all that is computed of light and radiance in a precision, and of rows; nothing is compiled."""
+    r, d, _ = operator.shape
+    first: Any = np.zeros(1, np.int32)
+    shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape in ((d, 3), (_MANY, d, 3), (r, 3))]
+
+    def everything(light, lights, radiance):
+        found = operator.apply(light), operator.apply_many(lights), operator.transpose(radiance)
+        return *found, operator.rows(first)
+
+    return [array.dtype for array in jax.eval_shape(everything, *shapes)]
+
+
+@pytest.mark.parametrize("name", [*SMALL, *MADE_OF_OTHERS, "on one device"])
+def test_results_have_the_precision_of_what_is_given(x64, name):
+    """And rows that of the operator's own numbers."""
+    operator, _ = case(name)
+    for dtype in (np.float32, np.float64):
+        assert precisions(operator, dtype) == [*[dtype] * 3, np.float32]
+
+
+@pytest.mark.parametrize("name", ["dense", "sparse", "clustered", "stacked", "summed", "composed", "scaled"])
+def test_an_operator_of_double_precision_takes_light_of_single(x64, name):
+    operator, _ = CASES[name](np.float64)
+    assert precisions(operator, np.float32) == [*[np.float32] * 3, np.float64]
+
+
+def test_black_clusters_have_rows_of_single_precision(x64):
+    nothing = Cluster(np.zeros(0, int), np.zeros((0, 0), np.float32), np.zeros((3, 0, 4), np.float32))
+    assert precisions(clustered([nothing], D), np.float32) == [np.float32] * 4
 
 
 @pytest.mark.parametrize("name", ["stacked", "streamed", pytest.param("streamed grey", marks=pytest.mark.slow)])
@@ -270,7 +394,7 @@ def test_jit_does_not_retrace_for_other_values(name):
 
 
 @pytest.mark.parametrize("counts", [(3, _MANY), pytest.param((1,), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", cases(SMALL, [*TOGETHER, "streamed grey"]))
+@pytest.mark.parametrize("name", cases([*SMALL, *MADE_OF_OTHERS], [*TOGETHER, "streamed grey"]))
 def test_many_lights_are_each_by_itself(name, counts):
     operator, matrix = case(name)
     r, d, _ = operator.shape
@@ -325,7 +449,7 @@ def test_streamed_reads_only_the_groups_it_needs():
 
     watched = Streamed(read, operator.frames, operator.reflection, operator.directions)
     assert relative(watched.rows(jax.device_put(np.array([9, 15]))), matrix[[9, 15]]) < 1e-6
-    assert set(asked) == {1}
+    assert asked == [1]
     asked.clear()
     watched.apply(random(D, 3))
     assert asked == [0, 1]

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from jax.sharding import Mesh
 
-from jaxrelight.operators.algebra import InBasis, Summed
 from jaxrelight.operators.clustered import Cluster, clustered
+from jaxrelight.operators.contract import Basis
 from jaxrelight.operators.dense import Dense
-from jaxrelight.operators.sharded import sharded
+from jaxrelight.operators.sharded import Sharded, sharded
+from jaxrelight.operators.sparse_rows import sparse_rows
 from tests.operators.sharded_child import CASES, TOGETHER, D, check, clusters, random, rows
 
 ROOT = pathlib.Path(__file__).parents[2]
@@ -81,20 +82,26 @@ def test_filling_of_one_device_is_none():
         assert sharded(whole, _mesh()).nbytes < 1.05 * whole.nbytes
 
 
-class _Reversed(eqx.Module):
+class _Reversed(Basis):
     """The basis of the same texels from last to first."""
 
-    def encode(self, texels):
+    @property
+    def size(self):
+        return D
+
+    def _encode(self, texels):
         return texels[..., ::-1]
 
-    def decode(self, coefficients):
+    def _decode(self, coefficients):
         return coefficients[..., ::-1]
 
 
 @pytest.mark.slow
 def test_sums_and_operators_in_a_basis_are_spread_by_parts():
-    whole = Summed((rows(200, 1), InBasis(clusters(3), _Reversed())))
+    square = rows(200, 3) @ sparse_rows(np.arange(D)[:, None], np.full((D, 1, 1), 2, np.float32), D)
+    whole = rows(200, 1) + clusters(3) @ _Reversed() + np.array([1, 2, 3], np.float32) * square
     operator = sharded(whole, _mesh())
+    assert len(jax.tree.leaves(operator, is_leaf=lambda one: isinstance(one, Sharded))) == 5
     light, radiance = random(D, 3), random(200, 3)
     np.testing.assert_allclose(operator.apply(light), whole.apply(light), rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(operator.transpose(radiance), whole.transpose(radiance), rtol=1e-4, atol=1e-4)

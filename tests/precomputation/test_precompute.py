@@ -13,6 +13,7 @@ import sys
 import time
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,21 +28,21 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.files import store
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.lights.environment import encode
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation import layers as stages
-from jaxrelight.precomputation.load import load, stored_environment
+from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
 from jaxrelight.transport.rebake import exact, rebake
 from tests.operators.derivatives import check_derivatives, derivatives
+from tests.transport.stores import load_transport, number_of, open_transport, reflections_of
 
 # One set of shapes for most of the file: compiling is what takes time here.
-SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
-PIXELS = dataclasses.replace(SETTINGS, receivers="pixels")
+METHOD = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
+PIXELS = dataclasses.replace(METHOD, receivers="pixels")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def scene() -> Scene:
 def made(scene, tmp_path_factory) -> pathlib.Path:
     """The store of the scene, for vertices; not to be written to."""
     folder = tmp_path_factory.mktemp("made") / "store"
-    precompute(scene, SETTINGS, folder)
+    precompute(scene, METHOD, folder)
     return folder
 
 
@@ -86,9 +87,7 @@ def _layers(folder: pathlib.Path) -> set[str]:
 
 
 def _image(folder: pathlib.Path, scene: Scene) -> np.ndarray:
-    relighter = open_store(folder)
-    assert scene.environment is not None
-    return relighter.image(scene.environment, relighter.view())
+    return open_transport(folder).picture(scene.lights)
 
 
 def _relative(found, wanted) -> float:
@@ -100,14 +99,14 @@ def _relative(found, wanted) -> float:
 
 def test_second_run_traces_nothing_and_changes_no_file(scene, copy):
     before = _files(copy)
-    summary = precompute(scene, SETTINGS, copy)
+    summary = precompute(scene, METHOD, copy)
     assert summary.rays == 0
     assert _files(copy) == before
 
 
 def test_summary_tells_what_was_done(scene, tmp_path):
     reports = []
-    summary = precompute(scene, SETTINGS, tmp_path / "store", lambda *report: reports.append(report))
+    summary = precompute(scene, METHOD, tmp_path / "store", lambda *report: reports.append(report))
     vertices = sum(len(part.mesh.vertices) for part in scene.parts)
     assert summary.receivers == vertices
     # Half of the directions are above a receiver, the copies that fill up groups included.
@@ -132,7 +131,7 @@ def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
     before, old = _files(copy), _layers(copy)
     darker = jr.phong([0.1, 0.1, 0.1], [0.4, 0.4, 0.4], 7.0)
     changed = dataclasses.replace(scene, materials={**scene.materials, "lacquer": darker})
-    summary = precompute(changed, SETTINGS, copy)
+    summary = precompute(changed, METHOD, copy)
     assert summary.rays == 0
     after = _files(copy)
     assert all(after[name] == before[name] for name in before if name != "store.json")
@@ -140,10 +139,10 @@ def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
     assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
     # What was made is what a fresh store gets.
     fresh = tmp_path / "fresh"
-    precompute(changed, SETTINGS, fresh)
+    precompute(changed, METHOD, fresh)
     assert _files(fresh).items() <= after.items()
     # And back: everything is there.
-    precompute(scene, SETTINGS, copy)
+    precompute(scene, METHOD, copy)
     assert _files(copy) == {**after, "store.json": before["store.json"]}
 
 
@@ -160,16 +159,16 @@ def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tm
 @pytest.mark.parametrize("receivers", ["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def test_equal_materials_of_two_names_have_layers_of_their_own(tmp_path, receivers: str):
     """The picture is that of one material on all meshes, whose receivers are other groups."""
-    scene, light = _small_scene(), np.random.default_rng(1).random((6 * SETTINGS.resolution**2, 3)).astype(np.float32)
+    scene, light = _small_scene(), np.random.default_rng(1).random((6 * METHOD.resolution**2, 3)).astype(np.float32)
     gloss = scene.materials["gloss"]
-    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    method = dataclasses.replace(METHOD, receivers=receivers)
     both = dataclasses.replace(scene, materials={"paper": gloss, "gloss": gloss})
     one = dataclasses.replace(both, parts=[dataclasses.replace(part, material="gloss") for part in scene.parts])
     images = []
     for name, same in (("both", both), ("one", one)):
-        precompute(same, settings, tmp_path / name)
-        relighter = open_store(tmp_path / name)
-        images.append(np.asarray(relighter.shade(relighter.terms(light), relighter.view())))
+        precompute(same, method, tmp_path / name)
+        relighter = open_transport(tmp_path / name)
+        images.append(np.asarray(relighter.shade_terms(relighter.terms(light), relighter.view())))
     assert len(list((tmp_path / "both").glob("transport-*"))) == 2
     np.testing.assert_allclose(images[0], images[1], rtol=1e-5, atol=1e-6)
 
@@ -182,7 +181,7 @@ def test_renamed_material_keeps_its_layers(scene, copy):
         parts=[dataclasses.replace(part, material=f"{part.material}_") for part in scene.parts],
         materials={f"{name}_": brdf for name, brdf in scene.materials.items()},
     )
-    assert precompute(renamed, SETTINGS, copy).rays == 0
+    assert precompute(renamed, METHOD, copy).rays == 0
     assert _layers(copy) == old
 
 
@@ -199,28 +198,29 @@ def test_renamed_material_keeps_its_layers(scene, copy):
     ],
     ids=lambda value: str(value) if isinstance(value, dict) else "",
 )
-def test_changed_settings_use_other_layers(tmp_path, monkeypatch, change: dict, traced: bool, new: set):
-    """A key that left out a setting would give the layer of another."""
+def test_changed_dials_use_other_layers(tmp_path, monkeypatch, change: dict, traced: bool, new: set):
+    """A key that left out a dial would give the layer of another."""
     # Which layers are asked for shows without baking them.
     monkeypatch.setattr(MaterialRows, "_complete", lambda *_: None)
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
     materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
     scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
-    settings = dataclasses.replace(SETTINGS, coefficients=8)
-    precompute(scene, settings, tmp_path)
+    method = dataclasses.replace(METHOD, coefficients=8)
+    precompute(scene, method, tmp_path)
     old = _layers(tmp_path)
     before = _files(tmp_path)
-    summary = precompute(scene, dataclasses.replace(settings, **change), tmp_path)
+    summary = precompute(scene, dataclasses.replace(method, **change), tmp_path)
     assert (summary.rays > 0) == traced
     assert {name.partition("-")[0] for name in _layers(tmp_path) - old} == new
     after = _files(tmp_path)
     assert all(after[name] == before[name] for name in before if name != "store.json")
-    assert Transport(**store.read_header(tmp_path)["settings"]) == dataclasses.replace(settings, **change)
+    changed = dataclasses.replace(method, **change)
+    assert store.read_header(tmp_path)["method"] == {"name": "transport", "dials": dataclasses.asdict(changed)}
 
 
 def test_other_camera_traces_anew_for_pixels_only(scene, copy, made_pixels, tmp_path):
     other = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, origin=(0.0, 1.1, 2.7)))
-    assert precompute(other, SETTINGS, copy).rays == 0
+    assert precompute(other, METHOD, copy).rays == 0
     shutil.copytree(made_pixels, tmp_path / "pixels")
     assert precompute(other, PIXELS, tmp_path / "pixels").rays > 0
 
@@ -230,23 +230,34 @@ def test_other_geometry_traces_anew(scene, copy):
         return dataclasses.replace(mesh, vertices=mesh.vertices + np.array([0, 1e-6, 0]))
 
     parts = [dataclasses.replace(scene.parts[0], mesh=shifted(scene.parts[0].mesh)), *scene.parts[1:]]
-    assert precompute(dataclasses.replace(scene, parts=parts), SETTINGS, copy).rays > 0
+    assert precompute(dataclasses.replace(scene, parts=parts), METHOD, copy).rays > 0
 
 
 def test_environment_is_not_part_of_the_keys(scene, copy):
     old = _layers(copy)
     sky = jr.environment(np.full((8, 16, 3), 0.25), rotate_y=20, scale=3)
-    precompute(dataclasses.replace(scene, environment=sky), SETTINGS, copy)
+    precompute(dataclasses.replace(scene, lights=sky), METHOD, copy)
     assert _layers(copy) - old == {store.read_header(copy)["environment"]["pixels"]}
-    transport = load(copy)
-    stored = stored_environment(transport)
+    stored = load_transport(copy).stored.lights().environment
     assert stored is not None
     np.testing.assert_array_equal(stored.pixels, sky.pixels)
-    assert (transport.rotate_y, transport.scale) == (20, 3)
+    assert (stored.rotate_y, stored.scale) == (20, 3)
+
+
+def test_local_lights_are_not_part_of_the_keys(scene, copy):
+    """The store keeps them beside the environment as the scene's own."""
+    old, sky = _layers(copy), scene.lights.environment
+    lamp = jr.point([0.5, 2.0, 1.0], [3.0, 2.0, 1.0])
+    assert precompute(dataclasses.replace(scene, lights=[sky, lamp]), METHOD, copy).rays == 0
+    assert _layers(copy) - old == {store.read_header(copy)["lights"]["layer"]}
+    stored = open_transport(copy).scene_lights()
+    assert stored.environment is not None
+    np.testing.assert_array_equal(stored.environment.pixels, sky.pixels)
+    assert eqx.tree_equal(stored.local, (lamp,))
 
 
 def test_equal_runs_make_equal_files(scene, made, tmp_path):
-    precompute(scene, SETTINGS, tmp_path / "again")
+    precompute(scene, METHOD, tmp_path / "again")
     assert _files(tmp_path / "again") == _files(made)
 
 
@@ -262,7 +273,7 @@ def test_camera_that_sees_nothing_has_no_pixels_to_precompute(scene, tmp_path):
 def test_store_that_is_a_file_is_refused(scene, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match="cannot be used as a store"):
-        precompute(scene, SETTINGS, tmp_path / "file")
+        precompute(scene, METHOD, tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
 
 
@@ -282,16 +293,17 @@ def test_missing_layer_is_refused_and_made_again(scene, made, copy, kind: str):
         shutil.rmtree(folder)
     with pytest.raises(InputError, match=f"{kind}-[0-9a-f]+: this layer is missing or damaged"):
         load(copy)
-    summary = precompute(scene, SETTINGS, copy)
+    summary = precompute(scene, METHOD, copy)
     assert (summary.rays > 0) == (kind == "visibility")
     assert _files(copy) == _files(made)
 
 
 def _read_all(folder: pathlib.Path):
     """Everything that lighting, or exact lighting, reads of a store."""
-    transport = load(folder)
-    stored_environment(transport)
-    transport.visibility.read_all()
+    stored = load(folder).stored
+    stored.lights()
+    assert stored.visibility is not None
+    stored.visibility.read_all()
 
 
 @pytest.mark.parametrize("name", ["store.json", "layout.json", "group"])
@@ -314,7 +326,7 @@ def test_flipped_bit_is_found_and_mended(scene, made, copy, name: str):
             _read_all(copy)
         assert str(copy) in str(caught.value)
         assert len(str(caught.value).splitlines()) == 1
-    summary = precompute(scene, SETTINGS, copy)
+    summary = precompute(scene, METHOD, copy)
     groups = store.open_layer(next(copy.glob("visibility-*"))).groups
     assert (0 < summary.rays < 2 * 128 * 6 * 8**2) == (name == "group")
     assert groups > 2
@@ -333,10 +345,7 @@ def refuse(event, arguments):
     if writes and str(arguments[0]).startswith(folder):
         raise PermissionError(13, f"Permission denied: {event} {arguments}")
 sys.addaudithook(refuse)
-from jaxrelight.precomputation.load import stored_environment
-from jaxrelight.precomputation.material_rows import MaterialRows
-relighter = jr.open_store(folder)
-relighter.image(stored_environment(relighter.transport), relighter.view())
+jr.open_store(folder).picture()
 try:
     open(folder + "/x", "w")
 except PermissionError:
@@ -370,14 +379,14 @@ def test_disk_that_fills_up_is_told_and_gone_on_from(scene, made, tmp_path):
     kept = _files(tmp_path / "store")
     assert kept
     assert kept.items() <= _files(made).items()
-    precompute(scene, SETTINGS, tmp_path / "store")
+    precompute(scene, METHOD, tmp_path / "store")
     assert _files(tmp_path / "store") == _files(made)
 
 
 def test_two_processes_at_once_share_the_work(made, tmp_path):
     """Both end well, with the store that one makes, and not all is done twice."""
     code = CHILD.replace('print("end", flush=True)', 'print("rays", made.rays)').replace(
-        "jr.precompute", "made = jr.precompute"
+        "precompute(", "made = precompute("
     )
     both = [
         subprocess.Popen(
@@ -395,12 +404,25 @@ def test_two_processes_at_once_share_the_work(made, tmp_path):
 
 def test_other_scene_in_the_same_store_meanwhile(scene, copy):
     """Whoever precomputed opens what it precomputed, though another process wrote another header."""
-    mine = precompute(scene, SETTINGS, copy)
-    precompute(dataclasses.replace(scene, environment=None), dataclasses.replace(SETTINGS, coefficients="all"), copy)
-    assert load(copy).settings.coefficients == "all"
-    transport = load(copy, mine.header)
-    assert transport.method == SETTINGS
-    assert stored_environment(transport) is not None
+    mine = precompute(scene, METHOD, copy)
+    precompute(dataclasses.replace(scene, lights=None), dataclasses.replace(METHOD, coefficients="all"), copy)
+    assert load_transport(copy).method == dataclasses.replace(METHOD, coefficients="all")
+    transport = load_transport(copy, mine.header)
+    assert transport.method == METHOD
+    assert transport.stored.lights().environment is not None
+
+
+def test_what_a_store_holds_is_a_pytree_of_arrays(made):
+    """All of its numbers can be arguments of a compiled function; what is not compiled for is equal by its key."""
+    one, other = load_transport(made), load_transport(made)
+    assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(one))
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    light = np.random.default_rng(4).random((6 * METHOD.resolution**2, 3)).astype(np.float32)
+    compiled = jax.jit(lambda transport, light: TransportRelighter(transport).terms(light))
+    for found, wanted in zip(compiled(one, light), TransportRelighter(other).terms(light), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+    compiled(other, light)
+    assert compiled._cache_size() == 1
 
 
 # What was stopped goes on.
@@ -420,24 +442,25 @@ def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
         patch.setattr(stages, "trace_visibility", fail)
         patch.setattr(os, "cpu_count", lambda: 1)
         with pytest.raises(InputError, match="disk full"):
-            precompute(scene, SETTINGS, tmp_path / "store")
+            precompute(scene, METHOD, tmp_path / "store")
     with pytest.raises(InputError, match="not finished; run precompute"):
         load(tmp_path / "store")
     done = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).done
     assert len(done) == 4
-    whole = precompute(scene, SETTINGS, tmp_path / "whole").rays
-    assert precompute(scene, SETTINGS, tmp_path / "store").rays == whole - sum(traced)
+    whole = precompute(scene, METHOD, tmp_path / "whole").rays
+    assert precompute(scene, METHOD, tmp_path / "store").rays == whole - sum(traced)
     assert _files(tmp_path / "store") == _files(made)
 
 
 CHILD = """
 import pathlib, sys
 import jaxrelight as jr
+from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
-settings = jr.Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
+method = jr.Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
 def report(*progress):
     print(*progress, flush=True)
-precompute(demo_scene(detail=0.1, size=24), settings, pathlib.Path(sys.argv[1]), report)
+precompute(demo_scene(detail=0.1, size=24), method, pathlib.Path(sys.argv[1]), report)
 print("end", flush=True)
 """
 
@@ -479,7 +502,7 @@ def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: in
         if line == "end":
             assert finished(folder) == _files(made)
     assert reached >= {"visibility"} if moments < 20 else {"visibility", "transport of stone", "end"}
-    precompute(scene, SETTINGS, folder)
+    precompute(scene, METHOD, folder)
     assert finished(folder) == _files(made)
 
 
@@ -488,36 +511,34 @@ def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: in
 
 @pytest.mark.parametrize("receivers", ["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def test_all_coefficients_kept_is_all_of_them(tmp_path, receivers: str):
-    scene, count = _small_scene(), 6 * SETTINGS.resolution**2
-    settings = dataclasses.replace(SETTINGS, receivers=receivers, coefficients=count)
-    precompute(scene, settings, tmp_path)
-    kept = load(tmp_path)
-    precompute(scene, dataclasses.replace(settings, coefficients="all"), tmp_path)
-    streamed = load(tmp_path)
+    scene, count = _small_scene(), 6 * METHOD.resolution**2
+    method = dataclasses.replace(METHOD, receivers=receivers, coefficients=count)
+    precompute(scene, method, tmp_path)
+    kept = load_transport(tmp_path)
+    precompute(scene, dataclasses.replace(method, coefficients="all"), tmp_path)
+    streamed = load_transport(tmp_path)
     assert kept.kept == pytest.approx(1, abs=1e-12)
     assert all(block.dropped is None for block in streamed.blocks)
     light = np.random.default_rng(0).gamma(0.3, size=(count, 3)).astype(np.float32)
     encoded = _encode(light.T).T
-    terms = [
-        TransportRelighter(t).terms(x) for t, x in ((kept, encoded), (streamed, light), (rebake_exact(kept), light))
-    ]
-    for part, wanted, exact in zip(*terms, strict=True):
+    terms = [TransportRelighter(t).terms(x) for t, x in ((kept, encoded), (streamed, light), (exact(kept), light))]
+    for part, wanted, baked in zip(*terms, strict=True):
         assert _relative(part, wanted) < 1e-5
-        np.testing.assert_array_equal(wanted, exact)
+        np.testing.assert_array_equal(wanted, baked)
     # Nor does baking again change what is streamed.
-    again = TransportRelighter(rebake(streamed, streamed.reflections)).terms(light)
+    again = TransportRelighter(rebake(streamed, reflections_of(streamed))).terms(light)
     for part, wanted in zip(again, terms[1], strict=True):
         np.testing.assert_array_equal(part, wanted)
 
 
 @jax.jit
 def _coefficients(texels):
-    return HaarFaces(SETTINGS.resolution).encode(texels)
+    return HaarFaces(METHOD.resolution).encode(texels)
 
 
 @jax.jit
 def _texels(coefficients):
-    return HaarFaces(SETTINGS.resolution).decode(coefficients)
+    return HaarFaces(METHOD.resolution).decode(coefficients)
 
 
 def _encode(texels) -> np.ndarray:
@@ -528,7 +549,7 @@ def _encode(texels) -> np.ndarray:
 def test_error_never_exceeds_what_was_dropped(small):
     """|Tx − T'x| ≤ ‖x‖·√dropped for every row, and equal for the light that is the dropped row itself."""
     transport = small.transport
-    exact = exact(transport)
+    untruncated = exact(transport)
     generator = np.random.default_rng(2)
     count, d, _ = transport.operator.shape
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
@@ -538,7 +559,7 @@ def test_error_never_exceeds_what_was_dropped(small):
     def error(light):
         light = light.astype(np.float32)
         kept = TransportRelighter(transport).terms(light)
-        whole = TransportRelighter(exact).terms(np.asarray(_texels(light.T)).T)
+        whole = TransportRelighter(untruncated).terms(np.asarray(_texels(light.T)).T)
         receivers = [128 * len(block.groups) for block in transport.blocks]
         parts = [(np.asarray(a), np.asarray(b), count) for a, b, count in zip(kept, whole, receivers, strict=True)]
         return np.abs(np.concatenate([(a - b)[:count].reshape(-1, 3) for a, b, count in parts]))
@@ -551,7 +572,7 @@ def test_error_never_exceeds_what_was_dropped(small):
         assert (error(light) <= np.linalg.norm(light, axis=0) * (bound + 1e-6)).all()
 
     starts = transport.operator.starts[:-1]
-    for kept, whole, start in zip(transport.operator.operators, exact.operator.operators, starts, strict=True):
+    for kept, whole, start in zip(transport.operator.operators, untruncated.operator.operators, starts, strict=True):
         row = generator.integers(kept.shape[0])
         whole, kept = (np.broadcast_to(each.rows(np.array([row]))[0], (3, d)) for each in (whole, kept))
         left = _encode(whole) - kept
@@ -562,22 +583,22 @@ def test_error_never_exceeds_what_was_dropped(small):
 
 def test_kept_energy_is_that_of_the_rows(small, tmp_path):
     transport = small.transport
-    precompute(_small_scene(), dataclasses.replace(transport.method, coefficients=6 * SETTINGS.resolution**2), tmp_path)
+    precompute(_small_scene(), dataclasses.replace(transport.method, coefficients=6 * METHOD.resolution**2), tmp_path)
 
     def energy(operators):
         return sum(float(np.square(part.values, dtype=float).sum()) * 3 / part.shape[2] for part in operators)
 
-    whole = energy(load(tmp_path).operator.operators)
+    whole = energy(load_transport(tmp_path).operator.operators)
     assert transport.kept == pytest.approx(energy(transport.operator.operators) / whole, abs=1e-6)
     assert 0.9 < transport.kept < 0.9999
-    for part, block in zip(load(tmp_path).operator.operators, transport.blocks, strict=True):
+    for part, block in zip(load_transport(tmp_path).operator.operators, transport.blocks, strict=True):
         assert block.dropped is not None
         assert block.dropped.shape == part.shape[::2]
 
 
 def test_rebake_gives_what_is_stored(small):
     transport = small.transport
-    again = rebake(transport, transport.reflections).operator
+    again = rebake(transport, reflections_of(transport)).operator
     for new, old in zip(again.operators, transport.operator.operators, strict=True):
         np.testing.assert_array_equal(new.indices, old.indices)
         for found, wanted in zip(new.values, old.values, strict=True):
@@ -586,10 +607,10 @@ def test_rebake_gives_what_is_stored(small):
 
 def test_rebake_with_another_material_keeps_the_sets(small):
     transport = small.transport
-    number = transport.names.index("gloss")
+    number = number_of(transport, "gloss")
     # Rows are linear in the light maps, or in the albedo and the lobes' scale.
     linear = [".light_maps", ".brdf.diffuse", ".brdf.scale"]
-    reflections = list(transport.reflections)
+    reflections = reflections_of(transport)
     reflections[number] = jax.tree_util.tree_map_with_path(
         lambda path, x: jax.device_put(np.asarray(x) * np.float32(2 if jax.tree_util.keystr(path) in linear else 1)),
         reflections[number],
@@ -616,10 +637,10 @@ def test_vertices_and_pixels_agree_on_a_fine_mesh(tmp_path):
     sky = jr.environment(0.5 + generator.random((4, 8, 3)))
     images = {}
     for receivers in ("vertices", "pixels"):
-        settings = Transport(receivers, resolution=16, coefficients="all", visibility_samples=4)
-        precompute(scene, settings, tmp_path / receivers)
-        relighter = open_store(tmp_path / receivers)
-        images[receivers] = relighter.image(sky, relighter.view(), background=False)
+        method = Transport(receivers, resolution=16, coefficients="all", visibility_samples=4)
+        precompute(scene, method, tmp_path / receivers)
+        relighter = open_transport(tmp_path / receivers)
+        images[receivers] = relighter.picture(sky, background=False)
     paper = images["vertices"][..., 3] == 1
     # The ball is 6 quads wide and stands in the middle of the image.
     paper &= np.abs(images["vertices"][..., 0] / np.maximum(images["vertices"][..., 1], 1e-9) - 7 / 6) < 0.5
@@ -647,11 +668,11 @@ def test_place_and_size_of_the_world_do_not_matter(request, scene, tmp_path, sca
     camera = dataclasses.replace(scene.camera, origin=moved(scene.camera.origin), target=moved(scene.camera.target))
     parts = [dataclasses.replace(part, mesh=meshes.transformed(part.mesh, matrix)) for part in scene.parts]
     other = dataclasses.replace(scene, camera=camera, parts=parts)
-    settings = dataclasses.replace(SETTINGS, receivers=receivers)
+    method = dataclasses.replace(METHOD, receivers=receivers)
     # Factors are copied: they know nothing of the world.
     for factors in plain.glob("factors-*"):
         shutil.copytree(factors, tmp_path / factors.name)
-    assert precompute(other, settings, tmp_path).rays > 0
+    assert precompute(other, method, tmp_path).rays > 0
     assert _relative(_image(tmp_path, other), _image(plain, scene)) < 1e-4
 
 
@@ -677,17 +698,17 @@ def _small_scene() -> Scene:
 @pytest.fixture(scope="module", params=["vertices", pytest.param("pixels", marks=pytest.mark.slow)])
 def small(request, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("small")
-    precompute(_small_scene(), dataclasses.replace(SETTINGS, receivers=request.param), folder)
+    precompute(_small_scene(), dataclasses.replace(METHOD, receivers=request.param), folder)
     # Tables of the resampling are made once, here in float32.
-    latlong.area_resampling(4, 8, SETTINGS.resolution)
-    return open_store(folder)
+    latlong.area_resampling(4, 8, METHOD.resolution)
+    return open_transport(folder)
 
 
 @pytest.fixture(scope="module")
 def sky() -> np.ndarray:
-    environment = _small_scene().environment
+    environment = _small_scene().lights.environment
     assert environment is not None
-    return environment.pixels.astype(np.float64)
+    return np.asarray(environment.pixels, np.float64)
 
 
 @pytest.fixture(scope="module")
@@ -697,7 +718,7 @@ def lit(small: TransportRelighter):
 
     def light_and_picture(pixels, rotate_y, scale):
         light = small.light_vector(pixels, rotate_y, scale)
-        return light, small.shade(small.terms(light), view)
+        return light, small.shade_terms(small.terms(light), view)
 
     return derivatives(light_and_picture)
 
@@ -707,11 +728,11 @@ def lit(small: TransportRelighter):
 def test_gradient_of_the_picture_in_the_light(small: TransportRelighter, sky):
     """Environment pixels → light vector → terms → picture, with rotation and scale."""
     view = small.view()
-    resampling = latlong.area_resampling(4, 8, SETTINGS.resolution)
+    resampling = latlong.area_resampling(4, 8, METHOD.resolution)
 
     def picture(pixels, rotate_y, scale):
         light = encode(pixels, rotate_y, scale, resampling, small.transport.basis)
-        return small.shade(small.terms(light), view)
+        return small.shade_terms(small.terms(light), view)
 
     arguments = sky, np.array(10.0), np.array(1.5)
     everything = check_derivatives(picture, arguments)
@@ -729,7 +750,7 @@ def _single(tree):
 def test_gradients_in_the_light_in_float32(small: TransportRelighter, lit, sky, of):
     """As it is used: linear in pixels and scale, and in the rotation within a pixel's 45°."""
     generator, pixels = np.random.default_rng(0), _single(sky)
-    shapes = (6 * SETTINGS.resolution**2, 3), (*small.view().shape, 3)
+    shapes = (6 * METHOD.resolution**2, 3), (*small.view().shape, 3)
     weights = [_single(generator.normal(size=shape)) for shape in shapes]
     number = ["light vector", "picture"].index(of)
     cotangent = tuple(part * np.float32(i == number) for i, part in enumerate(weights))
@@ -755,7 +776,7 @@ def test_gradients_in_the_light_in_float32(small: TransportRelighter, lit, sky, 
 
 def test_gradients_are_finite_at_the_extremes(small: TransportRelighter, lit):
     """A black map, and one bright texel: of the sum of squares of the picture."""
-    light = np.zeros((6 * SETTINGS.resolution**2, 3), np.float32)
+    light = np.zeros((6 * METHOD.resolution**2, 3), np.float32)
     black = np.zeros((*small.view().shape, 3), np.float32)
     spike = np.zeros((4, 8, 3), np.float32)
     spike[1, 3] = 1e5
@@ -774,20 +795,20 @@ def test_gradient_of_the_picture_in_the_materials(small: TransportRelighter):
     Radiance of a diffuse surface is proportional to its albedo: its derivative is the picture itself.
     """
     view, transport = small.view(), small.transport
-    light = np.random.default_rng(6).gamma(0.5, size=(6 * SETTINGS.resolution**2, 3))
-    gloss, number = (transport.names.index(name) for name in ("gloss", "paper"))
-    old, paper = transport.reflections[gloss], transport.reflections[number]
+    light = np.random.default_rng(6).gamma(0.5, size=(6 * METHOD.resolution**2, 3))
+    gloss, number = (number_of(transport, name) for name in ("gloss", "paper"))
+    old, paper = (transport.blocks[i].reflection for i in (gloss, number))
     assert isinstance(paper, Factored)
     parameters: Any = old.brdf if isinstance(old, FixedView) else old
     assert isinstance(parameters, LobeSum | Factored)
     parameters = jax.tree.map(lambda x: np.asarray(x, float), parameters)
 
     def picture(parameters, albedo):
-        reflections = list(transport.reflections)
+        reflections = reflections_of(transport)
         reflections[gloss] = FixedView(parameters, old.omega_o) if isinstance(old, FixedView) else parameters
         reflections[number] = Factored(paper.light_maps, albedo * paper.view_maps)
         changed = TransportRelighter(rebake(transport, reflections))
-        return changed.shade(changed.terms(jnp.asarray(light)), view)
+        return changed.shade_terms(changed.terms(jnp.asarray(light)), view)
 
     arguments = parameters, np.array(1.0)
     everything = check_derivatives(picture, arguments)
@@ -796,9 +817,12 @@ def test_gradient_of_the_picture_in_the_materials(small: TransportRelighter):
     assert value.dtype == np.float64
     assert float(np.abs(along).max()) > 0.01
     _, along, _ = everything(arguments, (still, np.array(1.0)), nothing)
-    pixels = view.materials[number]
+    names = [material.name for material in small.materials]
+    (part,) = (part for part in view.surfaces.parts if names[part.material] == "paper")
     on_paper = np.zeros(view.shape, bool)
-    on_paper.ravel()[np.asarray(pixels.pixel)[np.asarray(pixels.weights)[:, 0] > 0]] = 1
+    # Padding names a pixel beyond the last.
+    pixel = np.asarray(part.pixels.pixel)
+    on_paper.ravel()[pixel[pixel < on_paper.size]] = 1
     assert on_paper.sum() > 5
     np.testing.assert_allclose(np.asarray(along)[on_paper], np.asarray(value)[on_paper], rtol=1e-6, atol=1e-9)
     assert not np.asarray(along)[~on_paper].any()
@@ -824,21 +848,18 @@ def _compiled():
 
 
 def test_nothing_is_traced_again_for_other_light_or_view(scene, made):
-    relighter = open_store(made)
-    sky = scene.environment
-
-    def picture(environment, camera):
-        return relighter.image(environment, relighter.view(camera))
+    relighter = open_transport(made)
+    sky, picture = scene.lights.environment, relighter.picture
 
     first = picture(sky, scene.camera)
     noise = jr.environment(np.random.default_rng(0).random(sky.pixels.shape))
-    turned = dataclasses.replace(sky, rotate_y=37.5, scale=0.5)
+    turned = sky.with_(rotate_y=37.5, scale=0.5)
     aside = dataclasses.replace(scene.camera, origin=(-0.9, 1.2, 2.5), fov_y=50.0)
     with _compiled() as found:
         pictures = [picture(noise, scene.camera), picture(turned, scene.camera), picture(sky, aside)]
         assert found == []
         assert all(_relative(other, first) > 0.01 for other in pictures)
-        assert relighter.view(aside).covered.sum() != relighter.view().covered.sum()
+        assert np.sum(relighter.view(aside).surfaces.covered) != np.sum(relighter.view().surfaces.covered)
         picture(sky, dataclasses.replace(scene.camera, width=30))
         assert found, "the count does not show a new shape"
 
@@ -847,18 +868,17 @@ def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
     """Materials are arguments of the programs that bake them: a changed one compiles nothing."""
     changed = {**scene.materials, "stone": jr.lambert(0.9), "floor": jr.lambert([0.1, 0.2, 0.3])}
     shutil.copytree(made, tmp_path / "store")
-    precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), SETTINGS, tmp_path / "a")
+    precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), METHOD, tmp_path / "a")
     with _compiled() as found:
-        summary = precompute(dataclasses.replace(scene, materials=changed), SETTINGS, tmp_path / "store")
+        summary = precompute(dataclasses.replace(scene, materials=changed), METHOD, tmp_path / "store")
     assert summary.rays == 0
     assert found == []
 
 
 def test_a_material_may_have_its_own_number_of_terms(tmp_path):
     scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 2})
-    precompute(scene, dataclasses.replace(SETTINGS, terms=3), tmp_path)
-    transport = load(tmp_path)
-    found = {name: reflection.terms for name, reflection in zip(transport.names, transport.reflections, strict=True)}
+    precompute(scene, dataclasses.replace(METHOD, terms=3), tmp_path)
+    found = {block.material: block.reflection.terms for block in load_transport(tmp_path).blocks}
     assert found == {"paper": 1, "gloss": 2}
 
 
@@ -867,7 +887,9 @@ def test_a_material_may_have_its_own_number_of_terms(tmp_path):
     [
         {"camera": None},
         {"materials": []},
-        {"settings": {"unknown": 1}},
+        {"method": {"name": "transport", "dials": {"unknown": 1}}},
+        {"method": {"name": "adaptive", "dials": {}}},
+        {"method": {"name": "unknown", "dials": {}}},
         {"materials": [{"name": "x", "brdf": {"kind": "unknown", "arrays": {}}, "factors": None}] * 2},
     ],
 )
@@ -881,11 +903,11 @@ def test_a_damaged_header_is_one_line(copy, change):
 
 def test_the_scenes_own_camera_is_the_stores(scene, made_pixels):
     assert precompute(scene, PIXELS, str(made_pixels)).rays == 0
-    relighter = open_store(str(made_pixels))
-    assert relighter.view(scene.camera).covered.any()
+    relighter = open_transport(str(made_pixels))
+    assert np.asarray(relighter.view(scene.camera).surfaces.covered).any()
 
 
 def test_a_part_of_an_unknown_material_is_refused(tmp_path):
     scene = dataclasses.replace(_small_scene(), materials={})
     with pytest.raises(jr.InputError, match=r"paper|gloss"):
-        precompute(scene, folder=tmp_path)
+        precompute(scene, METHOD, tmp_path)

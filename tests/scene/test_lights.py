@@ -28,20 +28,20 @@ def loaded(tmp_path, lines: str):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_read(tmp_path, kind: str):
-    (light,) = loaded(tmp_path, KINDS[kind]).lights
+    (light,) = loaded(tmp_path, KINDS[kind]).lights.local
     assert type(light).__name__ == kind
     assert light.parts()
 
 
 def test_images_are_multiplied_by_their_intensity(tmp_path):
-    (light,) = loaded(tmp_path, KINDS["Projector"]).lights
+    (light,) = loaded(tmp_path, KINDS["Projector"]).lights.local
     assert light.image.shape == (3, 4, 3)  # pyright: ignore[reportAttributeAccessIssue]
     assert 2 < float(light.image.min()) < float(light.image.max()) < 4  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_sky_may_be_a_map(tmp_path):
     lines = 'type = "sky"\nfile = "slide.exr"\nrotate_y = 30\nscale = 2\nsamples = 9'
-    (light,) = loaded(tmp_path, lines).lights
+    (light,) = loaded(tmp_path, lines).lights.local
     assert len(light.parts()) == 9
 
 

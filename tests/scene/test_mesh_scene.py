@@ -41,7 +41,7 @@ def test_it_stands_on_the_floor_and_is_seen_whole(tmp_path, factors):
     slope = np.stack([offset @ right, offset @ down], axis=1) / (offset @ forward)[:, None]
     filled = np.abs(slope).max() / np.tan(np.radians(camera.fov_y / 2))
     assert 0.6 < filled < 0.95
-    assert scene.environment is not None
+    assert scene.lights.environment is not None
 
 
 def test_what_was_assumed_is_told(tmp_path):

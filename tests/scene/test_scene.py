@@ -1,5 +1,6 @@
 """Scene files: what loads, and what is refused in one line that says where and what."""
 
+import dataclasses
 import pathlib
 import re
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxrelight import InputError, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
+from jaxrelight import InputError, Scene, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
 from jaxrelight.brdf.material import as_material
 from tests.shared_data import shared
 
@@ -117,7 +118,7 @@ def _values(brdf) -> np.ndarray:
 
 def test_every_key_is_read(folder):
     scene = load_scene(_write(folder, GOOD))
-    camera, sky = scene.camera, scene.environment
+    camera, sky = scene.camera, scene.lights.environment
     assert (tuple(camera.origin), tuple(camera.target), tuple(camera.up)) == ((0, 1, 3), (0, 0, 0), (0, 1, 0))
     assert (camera.fov_y, camera.width, camera.height) == (40, 8, 6)
     assert sky is not None
@@ -139,9 +140,26 @@ def test_every_key_is_read(folder):
 
 def test_defaults(folder):
     scene = load_scene(_write(folder, SMALL))
-    assert scene.environment is None
+    assert not scene.lights
     assert (scene.camera.width, scene.camera.height, scene.camera.fov_y) == (512, 512, 38)
     np.testing.assert_array_equal(scene.parts[0].mesh.vertices, plane(resolution=2).vertices)
+
+
+def test_lights_are_an_environment_and_local_ones_together(folder):
+    """From a file as from code, and in any form that stands for them."""
+    lamp = '[[light]]\ntype = "point"\nposition = [0, 1, 0]\nintensity = 2\n'
+    scene = load_scene(_write(folder, SMALL + '[environment]\nfile = "sky.exr"\n' + lamp))
+    environment, local = scene.lights.environment, scene.lights.local
+    assert environment is not None
+    assert [type(light).__name__ for light in local] == ["Point"]
+    for given in (scene.lights, [environment, *local], [*local, environment]):
+        other = Scene(scene.parts, scene.materials, scene.camera, given)
+        assert (other.lights.environment, other.lights.local) == (environment, local)
+    for given, wanted in ((environment, (environment, ())), (local[0], (None, local)), (None, (None, ()))):
+        other = dataclasses.replace(scene, lights=given)
+        assert (other.lights.environment, other.lights.local) == wanted
+    with pytest.raises(InputError, match="2 environments were given; a scene has one at most"):
+        dataclasses.replace(scene, lights=[environment, environment])
 
 
 def test_terms_of_a_material(folder):
@@ -183,8 +201,8 @@ def test_reference_scene_loads(name: str):
     assert set(scene.materials) == {"object", "floor"}
     assert [part.material for part in scene.parts] == ["object", "floor"]
     assert (scene.camera.width, scene.camera.height) == (256, 256)
-    assert scene.environment is not None
-    assert scene.environment.scale == (10 if name == "bunny_phong" else 1)
+    assert scene.lights.environment is not None
+    assert scene.lights.environment.scale == (10 if name == "bunny_phong" else 1)
     figure = scene.parts[0].mesh.vertices
     assert np.ptp(figure, axis=0).max() == pytest.approx(1)
     assert figure[:, 1].min() == pytest.approx(0, abs=1e-12)
@@ -193,7 +211,7 @@ def test_reference_scene_loads(name: str):
 
 
 def test_local_lights_are_read():
-    point, spot = (load_scene(shared("reference", f"room_{name}.toml")).lights[0] for name in ("point", "spot"))
+    point, spot = (load_scene(shared("reference", f"room_{name}.toml")).lights.local[0] for name in ("point", "spot"))
     np.testing.assert_allclose(spot.target, [-0.9, 0.2, -0.6], rtol=1e-6)
     assert (spot.cutoff, spot.beam) == (25, 18)
     assert point.position.shape == point.intensity.shape == (3,)
@@ -394,8 +412,8 @@ def test_nonfinite_environment_is_zeroed_when_asked(folder):
     pixels[1, 2, 0] = np.inf
     write_image(folder / "sky.exr", pixels)
     scene = load_scene(_write(folder, SMALL + '[environment]\nfile = "sky.exr"\n'), zero_nonfinite=True)
-    assert scene.environment is not None
-    assert scene.environment.pixels.sum() == 3 * 31
+    assert scene.lights.environment is not None
+    assert np.sum(scene.lights.environment.pixels) == 3 * 31
     assert scene.notes == ("sky.exr: 1 NaN or infinite pixels were set to 0",)
 
 

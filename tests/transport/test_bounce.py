@@ -15,12 +15,12 @@ from jaxrelight.brdf.material import Component, Material
 from jaxrelight.brdf.reflection import of_group
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
-from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport import bake, bounce
 from jaxrelight.transport.model import PrecomputedTransport, frames_of
 from jaxrelight.transport.rebake import exact, rebake
 from tests.transport.scenes import ball_on_floor
+from tests.transport.stores import block_of, load_transport, precomputed, reflections_of
 
 SMALL = Transport(
     "vertices", resolution=8, terms=2, factor_resolution=12, compression_tolerance=0.0, bounces=1, gather_resolution=8
@@ -43,7 +43,7 @@ def room(albedo: float, radiance: float = 1.0) -> Scene:
     return Scene([Part(inside, "wall")], {"wall": emitting(albedo, radiance)}, camera)
 
 
-def radiance_at_vertices(transport: Transport) -> np.ndarray:
+def radiance_at_vertices(transport: PrecomputedTransport) -> np.ndarray:
     """Radiance of the walls, by the light that they emit alone."""
     (block,) = transport.blocks
     assert block.emission is not None
@@ -52,17 +52,12 @@ def radiance_at_vertices(transport: Transport) -> np.ndarray:
     return (block.emission + np.sum(block.emitted * view, axis=1))[transport.receivers.slot_of]
 
 
-def opened(scene: Scene, settings: Transport, folder) -> PrecomputedTransport:
-    made = precompute(scene, settings, folder)
-    return load(made.folder, made.header, made.geometry)
-
-
-def picture(transport: Transport, light: np.ndarray = LIGHT) -> np.ndarray:
+def picture(transport: PrecomputedTransport, light: np.ndarray = LIGHT) -> np.ndarray:
     """Of the surfaces, under light over texels."""
     relighter = TransportRelighter(transport)
     if transport.method.coefficients != "all":
         light = np.asarray(encoded(light.T)).T
-    return np.asarray(relighter.shade(relighter.terms(light), relighter.view()))
+    return np.asarray(relighter.shade_terms(relighter.terms(light), relighter.view()))
 
 
 encoded = jax.jit(HaarFaces(8).encode)
@@ -79,22 +74,22 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def direct(scene, tmp_path_factory) -> PrecomputedTransport:
-    return opened(scene, dataclasses.replace(SMALL, bounces=0), tmp_path_factory.mktemp("direct"))
+    return precomputed(scene, dataclasses.replace(SMALL, bounces=0), tmp_path_factory.mktemp("direct"))
 
 
 def test_a_closed_box_is_its_series_at_each_bounce(tmp_path):
     for bounces in (1, 2, 3):
-        found = radiance_at_vertices(opened(room(0.5), dataclasses.replace(ROOM, bounces=bounces), tmp_path))
+        found = radiance_at_vertices(precomputed(room(0.5), dataclasses.replace(ROOM, bounces=bounces), tmp_path))
         # Rays through the corners of texels cover every direction, so that no light is lost at edges or corners.
         np.testing.assert_allclose(found, sum(0.5**i for i in range(bounces + 1)), rtol=1e-3)
 
 
 def test_bounces_end_where_the_rest_is_below_the_tolerance(tmp_path):
-    settings = dataclasses.replace(ROOM, bounces=50, tolerance=0.1)
-    made = precompute(room(0.8, 3.0), settings, tmp_path)
-    transport = load(made.folder, made.header, made.geometry)
+    method = dataclasses.replace(ROOM, bounces=50, compression_tolerance=0.1)
+    build = precompute(room(0.8, 3.0), method, tmp_path)
+    transport = load_transport(build.folder, build.header)
     assert transport.method.bounces < 15
-    assert "of 50 bounces were made" in made.notes[-1]
+    assert "of 50 bounces were made" in build.notes[-1]
     found = radiance_at_vertices(transport)
     assert 3 / (1 - 0.8) * (1 - 0.1) < found.min() <= found.max() < 3 / (1 - 0.8)
 
@@ -110,15 +105,15 @@ def test_emission_is_seen_and_lights_what_does_not_emit(tmp_path):
     for bounces in (0, 1):
         for receivers in ("pixels", "vertices"):
             given = {"bounces": bounces, "receivers": receivers, "gather_resolution": 16, "coefficients": "all"}
-            settings = dataclasses.replace(SMALL, **given)
-            transport = opened(scene, settings, tmp_path)
+            method = dataclasses.replace(SMALL, **given)
+            transport = precomputed(scene, method, tmp_path)
             pictures.append(picture(transport, 0 * LIGHT))
     lamp_seen = pictures[0].max(axis=-1) > 0
     assert 0 < lamp_seen.sum() < 100
     np.testing.assert_allclose(pictures[0][lamp_seen], np.broadcast_to([4, 2, 1], (lamp_seen.sum(), 3)), rtol=1e-6)
     np.testing.assert_array_equal(pictures[0], pictures[1])
     # A sphere of radius r at height h lights what lies under it with E = π L (r/h)².
-    floor = transport.blocks[transport.names.index("floor")]
+    floor = block_of(transport, "floor")
     assert floor.emitted is not None
     below = floor.emitted[:, 0].max(axis=0) * np.asarray(floor.reflection.view_side(UP))[0]
     np.testing.assert_allclose(below, 0.5 * np.array([4, 2, 1]) * (0.3 / 0.8) ** 2, rtol=0.05)
@@ -133,8 +128,8 @@ def test_only_fronts_emit(tmp_path, two_sided):
     lamp = dataclasses.replace(lamp, vertices=np.add(lamp.vertices, [0, 0.5, 0]), two_sided=two_sided)
     parts = [Part(jr.plane((2, 2), 4), "floor"), Part(lamp, "lamp")]
     scene = Scene(parts, {"floor": jr.lambert([0.5] * 3), "lamp": emitting(0.5)}, jr.Camera((0, 1, 3), (0, 0, 0)))
-    transport = opened(scene, dataclasses.replace(SMALL, resolution=4), tmp_path)
-    floor = transport.blocks[transport.names.index("floor")]
+    transport = precomputed(scene, dataclasses.replace(SMALL, resolution=4), tmp_path)
+    floor = block_of(transport, "floor")
     assert floor.emitted is not None
     assert (floor.emitted.max() > 0.1) == two_sided
     assert floor.emitted.min() >= 0
@@ -146,9 +141,9 @@ def test_each_side_is_seen_by_what_is_before_it(tmp_path):
     parts = [Part(jr.plane((2, 2), 4), "floor"), Part(sheet, "sheet")]
     grey = jr.lambert([0.5] * 3)
     scene = Scene(parts, {"floor": grey, "sheet": grey}, jr.Camera((0, 1, 3), (0, 0, 0)))
-    transport = opened(scene, dataclasses.replace(SMALL, resolution=4, bounces=0), tmp_path)
+    transport = precomputed(scene, dataclasses.replace(SMALL, resolution=4, bounces=0), tmp_path)
     gather = bounce.Gather(transport, "key", 8)
-    floor, above = (transport.blocks[transport.names.index(name)] for name in ("floor", "sheet"))
+    floor, above = (block_of(transport, name) for name in ("floor", "sheet"))
     hits = gather.hits(transport.receivers, int(floor.groups[0]))
     slots = transport.receivers.slot_of - above.groups[0] * 128
     front, back = slots[25:34], slots[34:]
@@ -167,8 +162,8 @@ def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, coeff
     """G (T x) = (G T) x, for glossy and diffuse receivers and what they see of both; rows with all coefficients."""
     transport = direct
     if coefficients != "shared":
-        settings = dataclasses.replace(SMALL, bounces=0, coefficients=coefficients)
-        transport = opened(scene, settings, tmp_path_factory.mktemp("rows"))
+        method = dataclasses.replace(SMALL, bounces=0, coefficients=coefficients)
+        transport = precomputed(scene, method, tmp_path_factory.mktemp("rows"))
     gather = bounce.Gather(transport, "key", 8, nearest)
     light = np.random.default_rng(0).normal(size=(6 * 8**2, 3)).astype(np.float32)
     terms = [np.asarray(part) for part in TransportRelighter(transport).terms(light)]
@@ -201,7 +196,7 @@ def test_reflections_gather_together_what_each_gathers(scene, direct):
 
 
 def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_path):
-    transport = opened(scene, SMALL, tmp_path)
+    transport = precomputed(scene, SMALL, tmp_path)
     gather = bounce.Gather(direct, "key", 8)
     block, before, after = transport.blocks[0], direct.operator.operators[0], transport.operator.operators[0]
     frames = frames_of(direct.receivers, block.groups)
@@ -214,7 +209,7 @@ def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_p
 
 @pytest.mark.slow
 def test_an_even_sky_grows_no_brighter_than_albedo_allows(scene, direct, tmp_path):
-    once, twice = (opened(scene, dataclasses.replace(SMALL, bounces=count), tmp_path) for count in (1, 2))
+    once, twice = (precomputed(scene, dataclasses.replace(SMALL, bounces=count), tmp_path) for count in (1, 2))
     none, one, two = (picture(each, np.ones_like(LIGHT)) for each in (direct, once, twice))
     first, second = one - none, two - one
     assert first.min() > -0.01
@@ -227,8 +222,8 @@ def test_pixels_gather_from_vertices(scene, tmp_path, change):
     """Exact direct light and the bounce of pixels, against the same that is compressed."""
     pictures = []
     for kept in ({"coefficients": "all"}, change):
-        settings = dataclasses.replace(SMALL, receivers="pixels", tolerance=1e-3, **kept)
-        pictures.append(picture(opened(scene, settings, tmp_path)))
+        method = dataclasses.replace(SMALL, receivers="pixels", compression_tolerance=1e-3, **kept)
+        pictures.append(picture(precomputed(scene, method, tmp_path)))
     assert relative(pictures[1], pictures[0]) < 2e-3
 
 
@@ -257,22 +252,22 @@ def test_what_reflects_all_light_is_refused_before_any_ray(albedo, tmp_path):
 
 def test_terms_that_cannot_be_had_are_refused_before_any_ray(scene, tmp_path):
     """Those of pixels have one; but their bounces pass through vertices."""
-    settings = dataclasses.replace(SMALL, receivers="pixels", terms=10_000)
+    method = dataclasses.replace(SMALL, receivers="pixels", terms=10_000)
     with pytest.raises(InputError, match="material 'lacquer': 10000 terms cannot be had"):
-        precompute(scene, settings, tmp_path / "store")
+        precompute(scene, method, tmp_path / "store")
     assert not (tmp_path / "store").exists()
 
 
 def test_bounced_light_cannot_be_baked_again(scene, tmp_path):
-    transport = opened(scene, SMALL, tmp_path)
+    transport = precomputed(scene, SMALL, tmp_path)
     with pytest.raises(InputError, match="precompute again"):
-        rebake(transport, transport.reflections)
+        rebake(transport, reflections_of(transport))
 
 
 @pytest.mark.slow
 def test_exact_direct_light_keeps_bounced_light(scene, direct, tmp_path):
     """What is not compressed is the streamed rows; what was gathered stays beside them."""
-    both = direct, opened(scene, SMALL, tmp_path)
+    both = direct, precomputed(scene, SMALL, tmp_path)
     pictures = [picture(each) for transport in both for each in (transport, exact(transport))]
     assert relative(pictures[2], pictures[0]) > 0.01
     np.testing.assert_allclose(pictures[3] - pictures[1], pictures[2] - pictures[0], atol=1e-4)

@@ -23,6 +23,7 @@ from jaxrelight.transport import bake
 from jaxrelight.transport.model import Block, PrecomputedTransport, frames_of
 from jaxrelight.transport.rebake import rebake
 from tests.transport.scenes import ball_on_floor
+from tests.transport.stores import block_of, precomputed, reflections_of
 
 SMALL = Transport("vertices", resolution=8, terms=2, factor_resolution=12)
 BASIS = HaarFaces(8)
@@ -39,16 +40,16 @@ def folder(scene, tmp_path_factory):
 
 
 def opened(scene, folder, **dials) -> PrecomputedTransport:
-    made = precompute(scene, dataclasses.replace(SMALL, **dials), folder)
-    return load(made.folder, made.header, made.geometry)
+    return precomputed(scene, dataclasses.replace(SMALL, **dials), folder)
 
 
-def whole_rows(transport: Transport, block: Block) -> np.ndarray:
+def whole_rows(transport: PrecomputedTransport, block: Block) -> np.ndarray:
     """All coefficients of the rows [g, m k, c, d] of a block's groups, baked from visibility."""
-    assert transport.visibility is not None
+    visibility = transport.stored.visibility
+    assert visibility is not None
     frames, found = frames_of(transport.receivers, block.groups), []
     for i, group in enumerate(block.groups):
-        bits, reflection = transport.visibility.read("bits", int(group)), of_group(block.reflection, i)
+        bits, reflection = visibility.read("bits", int(group)), of_group(block.reflection, i)
         found.append(bake.bake_rows(jax.device_put(bits), frames[i], reflection, bake.directions_for(8), BASIS))
     m, k, c, d = found[0].shape
     return np.reshape(found, (-1, m * k, c, d))
@@ -69,10 +70,10 @@ def test_the_error_under_natural_light_stays_within_the_tolerance(scene, folder)
     spectrum, sizes = natural_spectrum(8), []
     light = np.random.default_rng(0).normal(size=(len(spectrum), 3, 40)) * spectrum[:, None, None]
     lights = light.reshape(len(spectrum), -1).astype(np.float32)
-    first = opened(scene, folder, tolerance=0.0)
+    first = opened(scene, folder, compression_tolerance=0.0)
     matrices = [whole_rows(first, block) for block in first.blocks]
     for tolerance in (0.0, 0.02, 0.2):
-        transport = opened(scene, folder, tolerance=tolerance)
+        transport = opened(scene, folder, compression_tolerance=tolerance)
         for kept, matrix in zip(transport.operator.operators, matrices, strict=True):
             true = matrix.reshape(len(matrix), -1, len(spectrum))
             off = written_out(kept).reshape(true.shape) - true
@@ -88,7 +89,7 @@ def test_the_error_under_natural_light_stays_within_the_tolerance(scene, folder)
 
 
 def test_the_dropped_energy_is_that_of_the_rows(scene, folder):
-    transport = opened(scene, folder, tolerance=0.1)
+    transport = opened(scene, folder, compression_tolerance=0.1)
     for kept, block in zip(transport.operator.operators, transport.blocks, strict=True):
         off = written_out(kept) - whole_rows(transport, block)
         assert block.dropped is not None
@@ -100,12 +101,12 @@ def test_the_dropped_energy_is_that_of_the_rows(scene, folder):
 
 @pytest.mark.slow
 def test_light_is_differentiable_through_clusters(scene, folder):
-    relighter = TransportRelighter(opened(scene, folder, tolerance=0.05))
+    relighter = TransportRelighter(opened(scene, folder, compression_tolerance=0.05))
     light = np.random.default_rng(1).normal(size=(6 * 8**2, 3)).astype(np.float32)
     view = relighter.view()
 
     def brightness(light):
-        return jnp.sum(relighter.shade(relighter.terms(light), view))
+        return jnp.sum(relighter.shade_terms(relighter.terms(light), view))
 
     gradient = jax.grad(brightness)(light)
     # Linear, so that the gradient times the light is the value.
@@ -115,8 +116,8 @@ def test_light_is_differentiable_through_clusters(scene, folder):
 
 @pytest.mark.slow
 def test_clusters_are_baked_again_as_rows_of_what_they_share(scene, folder):
-    transport = opened(scene, folder, tolerance=0.0)
-    again = rebake(transport, transport.reflections)
+    transport = opened(scene, folder, compression_tolerance=0.0)
+    again = rebake(transport, reflections_of(transport))
     light = np.random.default_rng(2).normal(size=(6 * 8**2, 3)).astype(np.float32)
     for before, after in zip(
         TransportRelighter(transport).terms(light), TransportRelighter(again).terms(light), strict=True
@@ -144,8 +145,8 @@ def test_groups_that_no_light_reaches_hold_nothing(tmp_path):
     parts = [jr.Part(floor, "floor"), jr.Part(lid, "lid")]
     dark = jr.Scene(parts, {"floor": grey, "lid": grey}, camera)
     transport = opened(dark, tmp_path / "store")
-    black = transport.operator.operators[transport.names.index("floor")]
-    lit = transport.operator.operators[transport.names.index("lid")]
+    black = block_of(transport, "floor").operator
+    lit = block_of(transport, "lid").operator
     assert isinstance(black, Clustered)
     assert not black.buckets
     # Where each column is held, and nothing else.
@@ -156,7 +157,7 @@ def test_groups_that_no_light_reaches_hold_nothing(tmp_path):
 @pytest.mark.parametrize("coefficients", [pytest.param(64, marks=pytest.mark.slow), "shared"])
 def test_codes_are_near_and_small(scene, folder, coefficients):
     """In 16 bits the light is the same to 1e-3, in 8 to 2e-2; files, operators and the dropped energy tell it."""
-    dials = {"coefficients": coefficients, "tolerance": 0.02}
+    dials = {"coefficients": coefficients, "compression_tolerance": 0.02}
     light = np.random.default_rng(3).normal(size=(6 * 8**2, 3)) * natural_spectrum(8)[:, None]
 
     def lit(transport):
@@ -179,7 +180,7 @@ def test_codes_are_near_and_small(scene, folder, coefficients):
 
 @pytest.mark.slow
 def test_bounces_are_gathered_from_codes(scene, folder):
-    dials = {"tolerance": 0.02, "bounces": 1, "gather_resolution": 8}
+    dials = {"compression_tolerance": 0.02, "bounces": 1, "gather_resolution": 8}
     light = np.random.default_rng(4).normal(size=(6 * 8**2, 3)) * natural_spectrum(8)[:, None]
     light = light.astype(np.float32)
     wanted, found = (TransportRelighter(opened(scene, folder, bits=bits, **dials)).terms(light) for bits in (32, 8))

@@ -9,10 +9,10 @@ from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.files.fitted import write_factors, write_lobes
 from jaxrelight.brdf.lobes import lobe, lobe_sum
 from jaxrelight.brdf.separable import separable
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
+from tests.transport.stores import open_transport
 
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 SCENE = """
@@ -45,16 +45,16 @@ def _scene(folder, kind: str, more: str = "") -> jr.Scene:
     return jr.load_scene(folder / "scene.toml")
 
 
-def _settings(receivers: str) -> Transport:
+def _method(receivers: str) -> Transport:
     return Transport(receivers, resolution=8, coefficients="all", terms=2, factor_resolution=6)
 
 
 def _relighter(scene, receivers: str, folder) -> TransportRelighter:
-    return open_store(precompute(scene, _settings(receivers), folder).folder)
+    return open_transport(precompute(scene, _method(receivers), folder).folder)
 
 
 def _radiance(relighter: TransportRelighter) -> np.ndarray:
-    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
+    return np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])
@@ -70,7 +70,7 @@ def test_lobes_are_those_of_the_file(tmp_path, receivers):
 
 
 def test_vertices_take_given_factors_as_they_are(tmp_path, factors):
-    """Whatever number and resolution the settings ask of others."""
+    """Whatever number and resolution the method asks of others."""
     (block,) = _relighter(_scene(tmp_path, "npz"), "vertices", tmp_path / "store").transport.blocks
     assert block.reflection.terms == 5
     np.testing.assert_array_equal(block.reflection.light_maps, factors.light_maps)

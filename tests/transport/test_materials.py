@@ -16,18 +16,17 @@ from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import OFFSET, Tracer
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
-from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
 from tests.operators.derivatives import derivatives
 from tests.shared_data import shared
+from tests.transport.stores import block_of, load_transport, number_of, open_transport
 
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 PIXELS = np.random.default_rng(7).random((6, 9, 3)).astype(np.float32)
 TEXTURE = Texture(jax.device_put(PIXELS))
-SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients="all", factor_resolution=12)
+METHOD = Transport("vertices", resolution=8, terms=2, coefficients="all", factor_resolution=12)
 
 
 def _scene(paper, gloss=None) -> Scene:
@@ -40,13 +39,13 @@ def _scene(paper, gloss=None) -> Scene:
 
 
 def _open(scene: Scene, folder, receivers: str = "vertices") -> TransportRelighter:
-    settings = dataclasses.replace(SETTINGS, receivers=receivers)
-    return open_store(precompute(scene, settings, folder).folder)
+    method = dataclasses.replace(METHOD, receivers=receivers)
+    return open_transport(precompute(scene, method, folder).folder)
 
 
 def _picture(scene: Scene, folder, receivers: str = "vertices") -> np.ndarray:
     relighter = _open(scene, folder, receivers)
-    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
+    return np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])
@@ -81,23 +80,23 @@ def test_pictures_are_linear_in_the_parts_of_a_mixture(tmp_path, receivers):
 
 
 def test_a_texture_is_stored_apart_from_grey_transport_and_changing_it_bakes_nothing(tmp_path):
-    settings = dataclasses.replace(SETTINGS, coefficients=32)
+    method = dataclasses.replace(METHOD, coefficients=32)
 
     def layers(kind):
         return {path.name for path in tmp_path.glob(f"{kind}-*")}
 
-    precompute(_scene(textured_lambert(TEXTURE)), settings, tmp_path)
+    precompute(_scene(textured_lambert(TEXTURE)), method, tmp_path)
     before = {kind: layers(kind) for kind in ("geometry", "visibility", "transport", "factors", "texture")}
     other = textured_lambert(Texture(jax.device_put(PIXELS[::-1])))
-    assert precompute(_scene(other), settings, tmp_path).rays == 0
+    assert precompute(_scene(other), method, tmp_path).rays == 0
     assert {kind: layers(kind) for kind in before if kind != "texture"} == {
         kind: names for kind, names in before.items() if kind != "texture"
     }
     assert len(layers("texture")) == len(before["texture"]) + 1 == 2
-    transport = load(tmp_path)
-    paper = transport.names.index("paper")
-    assert transport.operator.operators[paper].shape[2] == 1
-    np.testing.assert_array_equal(transport.blocks[paper].weight[0].pixels, PIXELS[::-1])
+    transport = load_transport(tmp_path)
+    paper = block_of(transport, "paper")
+    assert paper.operator.shape[2] == 1
+    np.testing.assert_array_equal(paper.weight[0].pixels, PIXELS[::-1])
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])
@@ -105,14 +104,13 @@ def test_gradients_of_textures_at_the_view(tmp_path, receivers):
     """The picture is linear in a texture: its derivative along any direction is the picture of that direction."""
     relighter = _open(_scene(textured_lambert(TEXTURE)), tmp_path, receivers)
     terms, view = relighter.terms(LIGHT), relighter.view()
-    number = relighter.transport.names.index("paper")
-    blocks = relighter.transport.blocks
+    number, blocks = number_of(relighter.transport, "paper"), relighter.transport.blocks
     aim, along = (np.random.default_rng(seed).random(shape) for seed, shape in ((8, (16, 20, 3)), (9, PIXELS.shape)))
     along = along.astype(np.float32)
 
     def loss(pixels):
         weights = tuple((Texture(pixels),) if i == number else block.weight for i, block in enumerate(blocks))
-        return jnp.sum(aim.astype(np.float32) * relighter.shade(terms, view, weights))
+        return jnp.sum(aim.astype(np.float32) * relighter.shade_terms(terms, view, weights))
 
     everything = derivatives(loss)
     value, slope, (gradient,) = everything((PIXELS,), (along,), np.float32(1))
@@ -126,7 +124,7 @@ def test_a_textured_material_needs_texture_coordinates(tmp_path):
     scene = _scene(textured_lambert(TEXTURE))
     bare = dataclasses.replace(scene.parts[0].mesh, uv=None)
     with pytest.raises(jr.InputError, match="has no texture coordinates, which its material 'paper' needs"):
-        precompute(dataclasses.replace(scene, parts=[Part(bare, "paper")]), SETTINGS, tmp_path)
+        precompute(dataclasses.replace(scene, parts=[Part(bare, "paper")]), METHOD, tmp_path)
 
 
 def _brute_force(mesh, pixels, camera, resolution: int, light):
@@ -163,8 +161,8 @@ def test_spot_with_its_texture_against_brute_force(tmp_path):
     camera = jr.Camera((0.5, 0.7, -2.6), (0, 0.45, 0), fov_y=8, width=12, height=12)
     scene = Scene([Part(mesh, "cow")], {"cow": textured_lambert(Texture(jax.device_put(pixels)))}, camera)
     relighter = _open(scene, tmp_path, "pixels")
-    found = np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
-    wanted = _brute_force(mesh, pixels, camera, SETTINGS.resolution, LIGHT.astype(float))
+    found = np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
+    wanted = _brute_force(mesh, pixels, camera, METHOD.resolution, LIGHT.astype(float))
     assert (wanted.max(axis=-1) > 0).mean() > 0.3
     # A ray in a hundred thousand may fall on the other side of an edge.
     np.testing.assert_allclose(np.linalg.norm(found - wanted) / np.linalg.norm(wanted), 0, atol=1e-3)
@@ -178,12 +176,12 @@ def test_spot_with_its_texture_against_brute_force(tmp_path):
 def test_white_furnace_of_both_sides(tmp_path, receivers, height):
     sheet = dataclasses.replace(jr.plane((2, 2), 4), two_sided=True)
     camera = jr.Camera((0.1, height, 0.3), (0, 0, 0), fov_y=30, width=8, height=8)
-    settings = dataclasses.replace(SETTINGS, receivers=receivers, resolution=32)
+    method = dataclasses.replace(METHOD, receivers=receivers, resolution=32)
     scene = Scene([Part(sheet, "white")], {"white": white_lambert()}, camera)
-    relighter = open_store(precompute(scene, settings, tmp_path).folder)
+    relighter = open_transport(precompute(scene, method, tmp_path).folder)
     view = relighter.view()
-    assert view.covered.all()
-    found = relighter.shade(relighter.terms(np.ones((6 * 32**2, 3), np.float32)), view)
+    assert np.asarray(view.surfaces.covered).all()
+    found = relighter.shade_terms(relighter.terms(np.ones((6 * 32**2, 3), np.float32)), view)
     np.testing.assert_allclose(found, 1, atol=1e-3)
     assert len(relighter.transport.surfaces.faces) == len(sheet.faces)
 

@@ -10,12 +10,12 @@ import jaxrelight as jr
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.tabulated import Tabulated
 from jaxrelight.files import store
-from jaxrelight.lighting.prepare import open_store
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import precompute
 from tests.brdf.files import writers
+from tests.transport.stores import open_transport
 
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 SCENE = """
@@ -42,23 +42,23 @@ def scene(tmp_path) -> jr.Scene:
     return jr.load_scene(tmp_path / "scene.toml")
 
 
-def _settings(receivers: str) -> Transport:
+def _method(receivers: str) -> Transport:
     return Transport(receivers, resolution=8, coefficients="all", terms=12, factor_resolution=12)
 
 
 def _radiance(relighter: TransportRelighter) -> np.ndarray:
-    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view()))
+    return np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
 
 
 def test_pixels_are_lit_by_the_brdf_of_the_file_itself(tmp_path, scene):
-    relighter = open_store(precompute(scene, _settings("pixels"), tmp_path / "store").folder)
+    relighter = open_transport(precompute(scene, _method("pixels"), tmp_path / "store").folder)
     (block,) = relighter.transport.blocks
     brdf = load_brdf(tmp_path / "paint.bsdf").brdf
     omega_i, omega_o = jnp.asarray([0.6, 0, 0.8]), jnp.asarray([-0.48, 0.36, 0.8])
     np.testing.assert_array_equal(block.brdf.evaluate(omega_i, omega_o), brdf.evaluate(omega_i, omega_o))
     pictures = {"measured": _radiance(relighter)}
     shade = jr.Scene(scene.parts, {"paint": jr.lambert(0.5)}, scene.camera)
-    grey = open_store(precompute(shade, _settings("pixels"), tmp_path / "other").folder)
+    grey = open_transport(precompute(shade, _method("pixels"), tmp_path / "other").folder)
     pictures["lambert"] = _radiance(grey)
     assert np.isfinite(pictures["measured"]).all()
     assert pictures["measured"].max() > 0.01
@@ -66,26 +66,26 @@ def test_pixels_are_lit_by_the_brdf_of_the_file_itself(tmp_path, scene):
 
 
 def test_the_store_keeps_long_arrays_in_layers_and_short_ones_in_its_header(tmp_path, scene):
-    summary = precompute(scene, _settings("pixels"), tmp_path / "store")
+    summary = precompute(scene, _method("pixels"), tmp_path / "store")
     record = summary.header["materials"][0]["brdf"]
     layers = {name for name, entry in record["arrays"].items() if "layer" in entry}
     assert layers == {"samples"}
     assert set(store.layers_of(summary.header)) >= {record["arrays"]["samples"]["layer"]}
     assert summary.nbytes["table"] > 0
     assert (tmp_path / "store" / "store.json").stat().st_size < 200_000
-    first = _radiance(open_store(summary.folder))
-    again = precompute(scene, _settings("pixels"), tmp_path / "store")
+    first = _radiance(open_transport(summary.folder))
+    again = precompute(scene, _method("pixels"), tmp_path / "store")
     assert again.header["materials"] == summary.header["materials"]
-    np.testing.assert_array_equal(_radiance(open_store(again.folder)), first)
+    np.testing.assert_array_equal(_radiance(open_transport(again.folder)), first)
 
 
 def test_a_damaged_table_is_told_and_made_again(tmp_path, scene):
-    summary = precompute(scene, _settings("pixels"), tmp_path / "store")
+    summary = precompute(scene, _method("pixels"), tmp_path / "store")
     (table,) = (tmp_path / "store").glob("table-*/000000")
     table.write_bytes(table.read_bytes()[:-4])
     with pytest.raises(jr.InputError, match="damaged"):
         load(summary.folder)
-    precompute(scene, _settings("pixels"), tmp_path / "store")
+    precompute(scene, _method("pixels"), tmp_path / "store")
     load(summary.folder)
 
 
@@ -96,7 +96,7 @@ def test_vertices_are_lit_by_factors_of_it(tmp_path, scene):
     materials = {"paint": Tabulated(jnp.asarray(smooth, jnp.float32))}
     scene = jr.Scene(scene.parts, materials, scene.camera)
     pictures = {
-        receivers: _radiance(open_store(precompute(scene, _settings(receivers), tmp_path / receivers).folder))
+        receivers: _radiance(open_transport(precompute(scene, _method(receivers), tmp_path / receivers).folder))
         for receivers in ("pixels", "vertices")
     }
     apart = np.linalg.norm(pictures["vertices"] - pictures["pixels"]) / np.linalg.norm(pictures["pixels"])

@@ -13,8 +13,9 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.precomputation import layer_files
 from jaxrelight.precomputation.precompute import precompute
+from tests.transport.stores import open_transport
 
-SETTINGS = jr.Transport("pixels", resolution=8, coefficients="all")
+METHOD = jr.Transport("pixels", resolution=8, coefficients="all")
 LIGHT = np.random.default_rng(0).random((6 * 8**2, 3)).astype(np.float32)
 
 
@@ -23,15 +24,15 @@ def _scene(material) -> jr.Scene:
     return jr.Scene([jr.Part(jr.plane((1, 1), 4), "floor")], {"floor": material}, camera)
 
 
-def _seen_at(material, folder, settings):
+def _seen_at(material, folder, method):
     """Radiance of the surface under light over texels, where none is seen 0; how it was made."""
-    made = precompute(_scene(material), settings, folder)
-    relighter = jr.open_store(made.folder)
-    return np.asarray(relighter.shade(relighter.terms(LIGHT), relighter.view())), relighter, made
+    made = precompute(_scene(material), method, folder)
+    relighter = open_transport(made.folder)
+    return np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view())), relighter, made
 
 
 def _picture(material, folder):
-    return _seen_at(material, folder, SETTINGS)[0]
+    return _seen_at(material, folder, METHOD)[0]
 
 
 def _maps(exponents) -> SpatialLobes:

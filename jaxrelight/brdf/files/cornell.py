@@ -10,7 +10,6 @@ import re
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_array
@@ -184,4 +183,4 @@ def _through(table: np.ndarray, floor: np.ndarray, pairs: Pairs, angles: np.ndar
     apart = np.abs(at_pairs @ flat[used] - wanted) / (wanted + floor)
     close = np.mean(apart < 0.01)
     note = f"goes through {close:.1%} of their values within 1 %, through the others within {apart.max():.0%}"
-    return Tabulated(as_array(flat.reshape(table.shape), jnp.float32)), note
+    return Tabulated(as_array(flat.reshape(table.shape))), note

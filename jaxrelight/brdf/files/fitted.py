@@ -16,7 +16,6 @@ of Wang 2006 eq. 10 with texels in the order y, x; c is 1 or 3. Other arrays in 
 import pathlib
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
@@ -26,6 +25,7 @@ from jaxrelight.files.npz import read_npz
 from jaxrelight.files.toml_table import Table, read_toml
 from jaxrelight.files.whole_file import write_whole
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 
 def read_fitted(path: str | pathlib.Path) -> LobeSum | Separable:
@@ -68,7 +68,7 @@ def _lobe(table: Table):
 
 
 def write_lobes(path: str | pathlib.Path, brdf: LobeSum, remarks: Sequence[str] = ()) -> None:
-    """Writes lobes, to the last bit of float32, below remarks of a line each; whole or not at all.
+    """Writes lobes, to the last bit of their dtype, below remarks of a line each; whole or not at all.
 
     Raises:
         InputError: if the lobes have a direction of anisotropy, which the file has no place for, or numbers that are
@@ -94,8 +94,8 @@ def _printable(text: str) -> str:
 
 
 def _numbers(values) -> str:
-    """The shortest decimal numbers that are these float32 ones; without a list of one."""
-    values = np.asarray(values, np.float32)
+    """The shortest decimal numbers that are these, of their dtype; without a list of one."""
+    values = np.asarray(values, float_dtype(values))
     if values.ndim == 0:
         return str(values)
     inner = [_numbers(value) for value in values]
@@ -109,7 +109,8 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
         InputError: if they have numbers that are not finite, or the file cannot be written.
     """
     path = pathlib.Path(path)
-    light, view = (np.asarray(maps, np.float32) for maps in (factors.light_maps, factors.view_maps))
+    dtype = float_dtype(factors)
+    light, view = (np.asarray(maps, dtype) for maps in (factors.light_maps, factors.view_maps))
     if not (np.isfinite(light).all() and np.isfinite(view).all()):
         raise InputError(f"{path}: the factors are not finite and cannot be written; check the BRDF")
 
@@ -132,4 +133,5 @@ def _factors(path: pathlib.Path) -> Separable:
             raise InputError(f"{path}: '{name}' of shape {shape} is no [terms, channels, side, side] of both sides")
         if not (np.abs(maps) < np.finfo(np.float32).max).all():
             raise InputError(f"{path}: '{name}' has numbers that are not finite; factor the material again")
-    return Separable(as_array(light, jnp.float32), as_array(view, jnp.float32))
+    dtype = float_dtype(light, view)
+    return Separable(as_array(light, dtype), as_array(view, dtype))

@@ -5,7 +5,6 @@ import math
 import pathlib
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
@@ -15,6 +14,7 @@ from jaxrelight.brdf.files.merl import SHAPE, read_merl
 from jaxrelight.brdf.files.rgl import MAGIC, read_rgl
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.numbers import float_dtype
 
 # Where albedos are looked at: beyond it measurements are rare, and those there are extrapolate.
 _DEGREES = 0, 30, 60, 80
@@ -36,7 +36,7 @@ class BrdfFile:
 
     def albedos(self) -> dict[int, float]:
         """Share of the light that is reflected, by its angle from the normal in degrees; of the brightest channel."""
-        found = _albedos(self.brdf, as_array([_at(degrees) for degrees in _DEGREES], jnp.float32))
+        found = _albedos(self.brdf, as_array([_at(degrees) for degrees in _DEGREES], float_dtype(self.brdf)))
         return dict(zip(_DEGREES, np.max(found, axis=-1).tolist(), strict=True))
 
     def energy_notes(self) -> list[str]:

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf.files.content import Content
@@ -39,7 +38,7 @@ def read_merl(content: Content) -> tuple[Tabulated, list[str]]:
     values[invalid] = values[tuple(_nearest_valid(np.asarray(invalid)))]
     odd = int(np.sum(invalid & (least_cosine(SHAPE) > 0.02)))
     notes = [f"{content.path.name}: {odd:,} entries above the surface are invalid; the nearest is taken"] if odd else []
-    return Tabulated(as_array(values, jnp.float32)), notes
+    return Tabulated(as_array(values)), notes
 
 
 def _nearest_valid(invalid: np.ndarray) -> np.ndarray:

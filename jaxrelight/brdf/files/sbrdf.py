@@ -97,6 +97,7 @@ def spatial(levels: Sequence[SbrdfLevel]) -> Material:
     """Maps as a material: their lobes, and the finest normals as a normal map where they are not all straight."""
     level = levels[0]
     bent = np.any(np.abs(level.normals - [0, 0, 1]) > 1e-6)
+    # Files hold no more than float32.
     bumps = Texture(as_array((level.normals + 1) / 2, jnp.float32)).minified() if bent else None
     lobes = dataclasses.replace(level.lobes, coarser=tuple(other.lobes for other in levels[1:]))
     return Material((Component(lobes),), bumps)

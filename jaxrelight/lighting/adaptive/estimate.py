@@ -121,7 +121,8 @@ def list_work(
     filled = np.full((batches, _BATCH), len(number), np.int32), np.zeros((batches, _BATCH), np.int32)
     for whole, some in zip(filled, (place, first), strict=True):
         whole[: len(some)] = some
-    return SampleWork(*map(as_array, filled), number, None if visible is None else as_array(visible))
+    places, firsts = map(as_array, filled)
+    return SampleWork(places, firsts, number, None if visible is None else as_array(visible))
 
 
 @functools.partial(jax.jit, static_argnames="filtered")

@@ -309,7 +309,7 @@ def _padded(lattice, before: int, after: int, fill, axes=(-2, -1)):
 
 def _moved(wider, y, x):
     """Of each new pixel, what a parent has."""
-    start, outside = (0,) * (wider.ndim - 2), _BEFORE + _AFTER
+    start, outside = (jnp.int32(0),) * (wider.ndim - 2), _BEFORE + _AFTER
     shape = (*wider.shape[:-2], wider.shape[-2] - outside, wider.shape[-1] - outside)
     return jax.lax.dynamic_slice(wider, (*start, y, x), shape)
 
@@ -353,7 +353,8 @@ def _passed(shaded, weights, image, joined):
             return total + weight * jnp.stack([_moved(coarse, *corner) for corner in corners], axis=1), None
 
         given = _of_level(weights, level, (h, w)), _CORNERS
-        between, _ = jax.lax.scan(added, jnp.zeros_like(own), given)
+        start = jnp.zeros(own.shape, jnp.result_type(own, weights))
+        between, _ = jax.lax.scan(added, start, given)
         found = _woven(found, jnp.where(_new(_lattice(shaded, level)), own, joined(own, between)))
     return jnp.moveaxis(found[:, :h, :w], 0, -1)
 

@@ -30,6 +30,7 @@ from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, gro
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
+from jaxrelight.lights.local import Directional
 from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
 from jaxrelight.methods import Adaptive
 from jaxrelight.numerics.arrays import is_traced
@@ -92,7 +93,7 @@ class AdaptiveLight(NamedTuple):
 
     Attributes:
         environment: None for none.
-        pyramid: of it, as samples see it; its sun is among the groups.
+        pyramid: of it, as samples see it; its sun is the last of the groups.
         groups: local lights, and the environment's sun.
     """
 
@@ -152,8 +153,9 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             return AdaptiveLight(None, None, group_lights(lights.local))
         pyramid = light_pyramid(lights.environment)
         # It comes from a few directions: no sample would find them.
-        local = [*lights.local, *([pyramid.sun] if len(pyramid.sun.directions) else [])]
-        return AdaptiveLight(lights.environment, pyramid, group_lights(local))
+        shining = jnp.any(pyramid.sun.irradiance > 0, axis=1)
+        sun = LightGroup(Directional(-pyramid.sun.directions, pyramid.sun.irradiance), shining)
+        return AdaptiveLight(lights.environment, pyramid, (*group_lights(lights.local), sun))
 
     def trace(self, lit: AdaptiveLight, view: AdaptiveView, *, report: Report | None = None) -> AdaptiveTraced:
         """The plan of samples, and all shadow rays: those of samples, and towards local lights.
@@ -170,6 +172,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         if lit.pyramid is None:
             return AdaptiveTraced(None, None, visibility)
         plan = self.plan(lit, view, report=report)
+        held, view = jax.lax.stop_gradient((self, view))
+        return AdaptiveTraced(plan, held._work(view, plan, report), visibility)
+
+    def _work(self, view: AdaptiveView, plan: Plan, report: Report | None):
+        """See `AdaptiveTraced.work`."""
         heard, layers = _Progress(report, plan.samples) if report else None, []
         for number, layer in enumerate(plan.layers):
             work, counts = [], np.asarray(layer.counts)
@@ -183,7 +190,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
                 if heard:
                     heard(int(mine.sum()))
             layers.append(tuple(work))
-        return AdaptiveTraced(plan, tuple(layers), visibility)
+        return tuple(layers)
 
     def shade(
         self,
@@ -274,11 +281,15 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         Raises:
             InputError: inside of jit, as a plan's size follows from the light's values.
         """
-        if is_traced((lit, view, self)):
+        held, lit, view, predicted = jax.lax.stop_gradient((self, lit, view, predicted))
+        if is_traced((held, lit, view, predicted)):
             raise InputError(
                 "a plan of samples follows from the light's values, which are not known inside of jit; call trace "
                 "outside and pass its result to shade"
             )
+        return held._plan(lit, view, predicted, report)
+
+    def _plan(self, lit: AdaptiveLight, view: AdaptiveView, predicted, report: Report | None) -> Plan:
         method, light = self.method, _pyramid_of(lit)
         tolerance = DEFAULT_TOLERANCE if method.samples is None and method.tolerance is None else method.tolerance
         if report:

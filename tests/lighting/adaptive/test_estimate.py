@@ -8,11 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxrelight.lighting.adaptive.shader import estimate as estimating
 
 from jaxrelight import (
     Camera,
     Part,
+    Prefiltered,
     Scene,
     ashikhmin_shirley,
     environment,
@@ -21,15 +21,17 @@ from jaxrelight import (
     lobe_sum,
     phong,
     plane,
+    prepare,
     sphere,
 )
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.half_sampling import half_vectors
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.sampling import directional_albedo
-from jaxrelight.lighting.adaptive.estimate import RUN, estimate
+from jaxrelight.lighting.adaptive import estimate as estimating
+from jaxrelight.lighting.adaptive.estimate import RUN, estimate, estimate_listed, list_work
 from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
-from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
+from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lights.pyramid import LightPyramid, cells, light_pyramid
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.random_numbers import MOST
@@ -51,10 +53,15 @@ class View(NamedTuple):
     real: np.ndarray
 
 
+def seen_of(part: Part) -> SurfacePixels:
+    """The pixels that see it."""
+    scene = Scene([part], {"skin": lambert(0.5)}, CAMERA)
+    return prepare(scene, Prefiltered()).view().parts[0].pixels
+
+
 @functools.cache
 def view() -> View:
-    seen = look_at(Scene([Part(sphere(1, 24), "skin")], {"skin": lambert(0.5)}, CAMERA, name="ball"))
-    pixels = seen.materials[0].pixels
+    pixels = seen_of(Part(sphere(1, 24), "skin"))
     return View(pixels, np.asarray(pixels.pixel) < CAMERA.width * CAMERA.height)
 
 
@@ -180,26 +187,51 @@ def test_what_is_blocked_is_dark():
     assert not np.asarray(dark).any()
 
 
-def test_rays_inside_of_what_is_traced_are_those_outside():
-    """Called back there, and called directly here; linear in light, so the gradient along it is the sum itself."""
+def below(_, towards: np.ndarray) -> np.ndarray:
+    """Hides what comes from below the horizon."""
+    return towards[:, 1] < 0
+
+
+def test_listed_work_is_what_is_estimated_at_once():
+    """With its rays cast before; of pixels that have none, and of more batches than one."""
+    part, pixels = sampled(GLOSSY), view().pixels
+    mixed = np.where(view().real, np.arange(len(view().real)) % 4 * 64 * RUN, 0)
+    for blocked in (None, below):
+        wanted = np.asarray(estimate(part, sky(), pixels, mixed, 5, blocked=blocked))
+        work = list_work(part, pixels, mixed, 5, blocked)
+        assert len(work.place) > 1
+        np.testing.assert_allclose(estimate_listed(part, sky(), pixels, work, 5), wanted, rtol=1e-5, atol=1e-6)
+    assert not np.asarray(estimate_listed(part, sky(), pixels, list_work(part, pixels, 0 * mixed), 5)).any()
+
+
+def test_listed_work_is_linear_in_light_inside_of_jit():
+    """So the gradient along the light is the sum itself; outside of jit, where rays are cast on the way, too."""
     part, pixels = sampled(MATT), view().pixels
+    work = list_work(part, pixels, counts(RUN), blocked=below)
 
-    def total(values):
-        light = eqx.tree_at(lambda of: of.radiance.values, sky(), values)
-        return jnp.sum(estimate(part, light, pixels, counts(RUN), blocked=lambda _, towards: towards[:, 1] < 0))
+    def lit(values) -> LightPyramid:
+        return eqx.tree_at(lambda of: of.radiance.values, sky(), values)
 
-    values = np.asarray(sky().radiance.values)
-    found, gradient = jax.jit(jax.value_and_grad(total))(values)
-    np.testing.assert_allclose([found, np.sum(gradient * values)], total(values), rtol=1e-4)
+    def listed(values):
+        return jnp.sum(estimate_listed(part, lit(values), pixels, work))
+
+    def at_once(values):
+        return jnp.sum(estimate(part, lit(values), pixels, counts(RUN), blocked=below))
+
+    values = sky().radiance.values
+    for total in (jax.jit(jax.value_and_grad(listed)), jax.value_and_grad(at_once)):
+        found, gradient = total(values)
+        along = np.sum(np.asarray(gradient) * np.asarray(values))
+        np.testing.assert_allclose([found, along], at_once(values), rtol=1e-4)
 
 
 @pytest.mark.usefixtures("x64")
 def test_gradients_are_those_of_differences():
     """In the sky's pixels and in a BRDF, while samples stand still."""
-    one = look_at(Scene([Part(plane([4, 4]), "skin")], {"skin": lambert(0.5)}, CAMERA, name="floor"))
-    wide = [np.asarray(x) for x in jax.tree.leaves(one.materials[0].pixels)]
+    floor = seen_of(Part(plane([4, 4]), "skin"))
+    wide = [np.asarray(x) for x in jax.tree.leaves(floor)]
     wide = [x.astype(np.float64 if x.dtype == np.float32 else x.dtype) for x in wide]
-    pixels = jax.tree.unflatten(jax.tree.structure(one.materials[0].pixels), wide)
+    pixels = jax.tree.unflatten(jax.tree.structure(floor), wide)
     number = np.zeros(len(pixels.pixel), int)
     number[:6] = RUN
     base = np.random.default_rng(0).random((8, 16, 3))

@@ -25,12 +25,12 @@ def features(kind=None, angular: float | np.ndarray = 0.5, contrast=1.0, spatial
     return Features(*map(as_array, (kind, mirror, angular, position, spatial, contrast)))
 
 
-def filled(between: Hierarchy, image: np.ndarray) -> np.ndarray:
+def interpolated(between: Hierarchy, image: np.ndarray) -> np.ndarray:
     """By so many channels at a time."""
     channels = image.shape[2]
     wide = np.pad(image.astype(np.float32), ((0, 0), (0, 0), (0, -channels % TOGETHER)))
     parts = np.split(wide, wide.shape[2] // TOGETHER, axis=2)
-    return np.concatenate([between.filled(as_array(part)) for part in parts], axis=2)[..., :channels]
+    return np.concatenate([between.interpolate(as_array(part)) for part in parts], axis=2)[..., :channels]
 
 
 @functools.cache
@@ -57,15 +57,15 @@ def test_what_is_linear_in_the_mirror_is_reproduced():
     between = plain().within(0.02)
     shaded = np.asarray(between.shaded)
     assert shaded.mean() < 0.7
-    np.testing.assert_allclose(filled(between, np.where(shaded[..., None], image, 7)), image, atol=0.02)
+    np.testing.assert_allclose(interpolated(between, np.where(shaded[..., None], image, 7)), image, atol=0.02)
 
 
 def test_shaded_pixels_stay():
     image = np.random.default_rng(0).random((H, W, 3)).astype(np.float32)
     between = plain().within(0.05)
     shaded = np.asarray(between.shaded)
-    np.testing.assert_array_equal(filled(between, image)[shaded], image[shaded])
-    np.testing.assert_allclose(filled(plain().within(1e9), np.ones((H, W, 1))), 1, atol=1e-5)
+    np.testing.assert_array_equal(interpolated(between, image)[shaded], image[shaded])
+    np.testing.assert_allclose(interpolated(plain().within(1e9), np.ones((H, W, 1))), 1, atol=1e-5)
 
 
 def test_kinds_do_not_mix():
@@ -75,14 +75,14 @@ def test_kinds_do_not_mix():
     kind[:, 40:] = -1
     between = hierarchy(features(kind)).within(1e9)
     image = np.where(kind >= 0, kind + 1.0, 99)[..., None].astype(np.float32)
-    found = filled(between, image)
+    found = interpolated(between, image)
     asked = kind >= 0
     np.testing.assert_allclose(found[asked], image[asked], atol=1e-4)
     assert not np.asarray(between.shaded)[~asked].any()
     # A wire one pixel wide is shaded or between pixels of its own.
     kind = np.zeros((H, W), np.int32)
     kind[:, 7] = 1
-    found = filled(hierarchy(features(kind)).within(1e9), kind[..., None])
+    found = interpolated(hierarchy(features(kind)).within(1e9), kind[..., None])
     np.testing.assert_allclose(found[..., 0], kind, atol=1e-4)
 
 
@@ -101,23 +101,23 @@ def test_all_is_smooth_where_nothing_varies():
     assert np.asarray(hierarchy(features(angular=0)).within(1e-6).shaded).sum() < 0.02 * H * W
 
 
-def test_influence_is_the_transpose_of_spread():
+def test_influence_is_the_transpose_of_how_variance_is_propagated():
     between = plain().within(0.05)
     variance = np.random.default_rng(0).random((H, W)).astype(np.float32)
     shaded = np.asarray(between.shaded)
-    total = np.asarray(between.spread(as_array(variance))).sum()
+    total = np.asarray(between.propagate_variance(as_array(variance))).sum()
     np.testing.assert_allclose(np.sum(np.asarray(between.influence())[shaded] * variance[shaded]), total, rtol=1e-4)
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.4, 2.0])
-def test_spread_is_near_the_variance_of_what_lies_between(tolerance: float):
+def test_propagated_variance_is_near_that_of_what_lies_between(tolerance: float):
     """Were all parents taken for independent, it would be down to a quarter of that."""
     between = plain().within(tolerance)
     shaded = np.flatnonzero(np.asarray(between.shaded))
     each = np.zeros((H * W, len(shaded)), np.float32)
     each[shaded, np.arange(len(shaded))] = 1
-    exact = np.sum(filled(between, each.reshape(H, W, -1)) ** 2)
-    found = np.asarray(between.spread(as_array(np.ones((H, W), np.float32))))
+    exact = np.sum(interpolated(between, each.reshape(H, W, -1)) ** 2)
+    found = np.asarray(between.propagate_variance(as_array(np.ones((H, W), np.float32))))
     assert 0.75 < found.sum() / exact < 1.35
 
 
@@ -139,7 +139,7 @@ def test_an_edge_is_not_bridged(place: float, way: tuple[float, float]):
     image = np.where(away > 0, 1, 0.25).astype(np.float32)
     between = hierarchy(features(angular=np.where(np.abs(away) < 2.5, 40, 0.05))).within(0.02)
     assert np.asarray(between.shaded).mean() < 0.25
-    np.testing.assert_allclose(filled(between, image[..., None])[..., 0], image, atol=0.02)
+    np.testing.assert_allclose(interpolated(between, image[..., None])[..., 0], image, atol=0.02)
 
 
 def test_errors_of_parents_are_passed_on():
@@ -170,7 +170,7 @@ def test_inside_pixels_the_nearest_parents_alone_count():
     image = np.asarray(features().mirror) @ np.array([[0.5, 2], [1, -1], [0, 0]], np.float32) + 3
     shaded = np.asarray(between.shaded)
     assert shaded.mean() < 0.7
-    np.testing.assert_allclose(filled(between, np.where(shaded[..., None], image, 7)), image, atol=0.02)
+    np.testing.assert_allclose(interpolated(between, np.where(shaded[..., None], image, 7)), image, atol=0.02)
     # Those of coarser levels are what they are without.
     these, those = (np.asarray(of.weights)[..., :coarse] for of in (found, plain()))
     np.testing.assert_array_equal(these, those)

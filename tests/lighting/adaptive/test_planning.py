@@ -8,7 +8,7 @@ import pytest
 
 from jaxrelight.lighting.adaptive.estimate import RUN
 from jaxrelight.lighting.adaptive.hierarchy import Hierarchy, hierarchy
-from jaxrelight.lighting.adaptive.planning import Asked, planned
+from jaxrelight.lighting.adaptive.planning import LayerEstimate, make_plan
 from tests.lighting.adaptive.test_hierarchy import H, W, features, plain
 
 PIXELS = H * W
@@ -28,15 +28,15 @@ def fast() -> Hierarchy:
 
 def plan(samples=None, tolerance=None, deviation=None, factor=1, power=1.0, between: Hierarchy | None = None):
     of = jnp.asarray(noise() if deviation is None else deviation, jnp.float32)
-    asked = Asked(0, between or plain(), jnp.ones((H, W)), of, jnp.zeros((H, W)))
-    return planned([asked], power, (H, W), PIXELS, factor, samples, tolerance, shadows=False)
+    estimate = LayerEstimate(0, between or plain(), jnp.ones((H, W)), of, jnp.zeros((H, W)))
+    return make_plan([estimate], power, (H, W), PIXELS, factor, samples, tolerance, shadows=False)
 
 
 @pytest.mark.parametrize("samples", [8, 64, 256])
 def test_budgets_are_kept(samples: int):
     found = plan(samples=samples)
     assert 0.8 * samples < found.samples / PIXELS < 1.05 * samples
-    counts = found.layers[0].counts
+    counts = np.asarray(found.layers[0].counts)
     assert (counts % RUN == 0).all()
     assert ((counts > 0) == np.asarray(found.layers[0].between.shaded)).all()
     assert found.shaded == (counts > 0).sum()

@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from jaxrelight import Camera, Part, Scene, environment, lambert, phong, sphere
+from jaxrelight import Camera, Part, Prefiltered, Scene, environment, lambert, phong, prepare, sphere
 from jaxrelight.lighting.adaptive.prediction import draw, predict
 from jaxrelight.lighting.adaptive.sampled import sampled
-from jaxrelight.lighting.prefiltered import SurfacePixels, look_at
+from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lights.pyramid import light_pyramid
 from jaxrelight.numerics.arrays import as_array
 
@@ -21,7 +21,7 @@ ROWS = 128
 @functools.cache
 def pixels() -> SurfacePixels:
     scene = Scene([Part(sphere(1, 48), "skin")], {"skin": lambert(0.5)}, CAMERA, name="ball")
-    return look_at(scene).materials[0].pixels
+    return prepare(scene, Prefiltered()).view().parts[0].pixels
 
 
 @functools.cache

@@ -1,37 +1,34 @@
-"""What a long command shows while it runs, on standard error."""
+"""What long work shows on standard error: how far it is, how long it will take, and notes."""
 
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
+# Told the stage, how much of it is done and how much there is.
+Report = Callable[[str, int, int], None]
 # Seconds between two lines where there is no terminal to draw bars on.
 _PAUSE = 10
 
 
 @contextlib.contextmanager
-def progress(quiet: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A report function (stage, done, total) for the length of the block.
+def progress(quiet: bool = False) -> Iterator[Report]:
+    """A report function for the length of the block.
 
     Draws bars with the time that is left on a terminal, and writes a line now and then to anything else. Somebody who
     interrupts the block is told how far it had come.
     """
-    last = ("nothing", 0, 1)
-
-    def remember(*state):
-        nonlocal last
-        last = state
-
+    stage, done, total = "nothing", 0, 1
     with _lines(quiet) if quiet or not sys.stderr.isatty() else _bars() as show:
 
-        def report(stage: str, done: int, total: int):
-            remember(stage, done, total)
+        def report(*state):
+            nonlocal stage, done, total
+            stage, done, total = state
             show(stage, done, total)
 
         try:
             yield report
         except KeyboardInterrupt as stop:
-            stage, done, total = last
             stop.add_note(f"{_percent(done, total)} of {stage}")
             raise
 
@@ -61,14 +58,14 @@ def _bars():
 
 @contextlib.contextmanager
 def _lines(quiet: bool):
-    start = told = time.monotonic()
-    current, first = "", 0
+    # Of each stage when it began, and how much was done by then.
+    began: dict[str, tuple[float, int]] = {}
+    told = time.monotonic()
 
     def show(stage: str, done: int, total: int):
-        nonlocal start, told, current, first
+        nonlocal told
         now = time.monotonic()
-        if stage != current:
-            current, start, first = stage, now, done
+        start, first = began.setdefault(stage, (now, done))
         if not quiet and now - told > _PAUSE and first < done < total:
             told = now
             left = (now - start) / (done - first) * (total - done)
@@ -86,7 +83,7 @@ def _percent(done: int, total: int) -> str:
     return f"{100 * done // max(total, 1)} %"
 
 
-def notes(lines) -> None:
-    """What was mended, on standard error."""
+def notes(lines: Iterable[str]) -> None:
+    """Writes what was mended, assumed or left out."""
     for line in lines:
         print(f"note: {line}", file=sys.stderr)

@@ -1,0 +1,60 @@
+"""The keys of summaries, down to numbers and texts; `*` stands for names that the scene gives."""
+
+import dataclasses
+
+from jaxrelight.methods import METHODS
+
+DIALS_OF = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in METHODS.items()}
+_NAMED = "materials", "meshes"
+
+
+def _of_group(name: str, *keys: str) -> set[str]:
+    return {f"{name}.{key}" for key in keys}
+
+
+def _lit(lighting: str) -> set[str]:
+    versions = _of_group("versions", "jaxrelight", "jax", "embreex")
+    return {"command", "lighting"} | versions | _of_group("settings", *DIALS_OF[lighting])
+
+
+STORE = {"store", "receivers", "operator_bytes", "kept_energy"}
+BUILD = STORE | {"rays", "rays_per_second"} | _of_group("seconds", "imports", "load", "geometry", "open", "total")
+TRANSPORT = BUILD | _of_group("seconds", "visibility", "transport")
+TRANSPORT |= _of_group("bytes", "geometry", "environment", "visibility", "factors", "transport")
+INDIRECT = BUILD | _of_group("seconds", "cloud", "between", "pixels")
+INDIRECT |= _of_group("bytes", "geometry", "cloud", "albedo", "between", "indirect", "factors", "lights")
+PICTURE = {"picture", "width", "height", "covered", "mean_radiance", "lights", "leaves_out"}
+PICTURE |= _of_group("seconds", "view", "light", "shade", "write")
+NOW = PICTURE | _of_group("seconds", "imports", "load", "total")
+RELIT = STORE - {"receivers"} | PICTURE | _of_group("seconds", "imports", "open", "environment", "total")
+PLAN = {"samples", "shaded"} | _of_group("predicted_error", "between_pixels", "samples")
+SHOWN = _of_group("milliseconds", "change_of_view", "change_of_light", "shading")
+SHOWN |= _of_group("error", "coefficients", "without_worst_5_percent") | {"picture"}
+IMAGE = {"command", "kind", "image", "width", "height", "channels", "largest", "mean", "negative_pixels"}
+
+KEYS = {
+    "precompute": _lit("transport") | TRANSPORT,
+    "transport": _lit("transport") | TRANSPORT | PICTURE,
+    "indirect": _lit("indirect") | INDIRECT | PICTURE,
+    "prefiltered": _lit("prefiltered") | NOW,
+    "adaptive": _lit("adaptive") | NOW | PLAN | _of_group("maps", "bandwidth", "level", "samples", "error"),
+    "relight": _lit("transport") | RELIT,
+    "demo": _lit("transport") | TRANSPORT - {"seconds.load"} | SHOWN,
+    "store": _lit("transport") | STORE | {"kind", "scene", "rows", "materials.*", "bytes.*", "unused_layers"}
+    | {"lights", "leaves_out", "largest_error_for_unit_light"},
+    "scene": {"command", "kind", "scene", "vertices", "materials.*", "lights"}
+    | _of_group("meshes.*", "vertices", "faces", "material")
+    | _of_group("camera", "width", "height", "fov_y") | _of_group("environment", "width", "height"),
+    "image": IMAGE | {"not_finite_pixels"},
+}  # fmt: skip
+
+
+def keys_of(value, named: bool = False) -> set[str]:
+    """Those of a summary."""
+    if not isinstance(value, dict):
+        return {""}
+    return {
+        f"{'*' if named else key}.{rest}".rstrip(".")
+        for key, entry in value.items()
+        for rest in keys_of(entry, key in _NAMED or (key == "bytes" and value.get("kind") == "store"))
+    }
