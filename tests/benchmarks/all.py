@@ -29,6 +29,7 @@ PROGRAMS = (
     "indirect",
     "light_moves",
     "adaptive",
+    "adaptive_parts",
     "fit_speed",
     "fit_materials",
     "fit_measured",

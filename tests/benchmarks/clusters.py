@@ -44,11 +44,11 @@ def main():
     arguments = parser.parse_args()
     quick, mesh = arguments.quick, shared("data", "mesh")
     path = mesh / ("teapot.obj" if arguments.quick else "dragon_vrip_res2_bin.ply")
-    groups = {1: 2, 4: 1} if quick else {1: 24, 4: 4}
+    groups, floor = ({1: 2, 4: 1}, 16) if quick else ({1: 24, 4: 4}, FLOOR)
     parameters = (
-        f"{path.stem} on a floor of 31 K vertices, the mesh's rows, resolution {RESOLUTION}; K = 1: Lambert; K = 4: "
-        "the lobe of Phong 50, whose diffuse part is as K = 1; rows of both are grey; errors over "
-        f"{groups[1]} and {groups[4]} of its groups, drawn with seed "
+        f"{path.stem} on a floor of {(floor + 1) ** 2:,} vertices, the mesh's rows, resolution {RESOLUTION}; "
+        "K = 1: Lambert; K = 4: the lobe of Phong 50, whose diffuse part is as K = 1; rows of both are grey; errors "
+        f"over {groups[1]} and {groups[4]} of its groups, drawn with seed "
         f"{SEED}, means of eight environments; ratios are medians over interleaved runs"
     )
     with contextlib.ExitStack() as stack:
@@ -56,7 +56,7 @@ def main():
         report = stack.enter_context(Report("clusters", "Clusters", parameters, not quick))
         lights = {name: light_vector(file, 1) for name, file in ENVIRONMENTS.items()}
         spectrum(report, lights)
-        scenes = {terms: _scene(path, terms, 16 if quick else FLOOR) for terms in groups}
+        scenes = {terms: _scene(path, terms, floor) for terms in groups}
         samples = {terms: sample(scenes[terms], terms, count, lights, quick) for terms, count in groups.items()}
         weighting(report, samples)
         equal = {terms: errors(report, one, terms) for terms, one in samples.items()}

@@ -78,8 +78,9 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, edges: dict[s
     """Scenes from their files to pictures, with the longest edge of each."""
     columns = []
     for name, edge in edges.items():
+        mesh, materials, origin, target, fov_y, _ = CASES[name]
         scene = folder / f"{name}.toml"
-        scene.write_text(scene_text(*CASES[name][:-1], edge))  # pyright: ignore[reportCallIssue]
+        scene.write_text(scene_text(mesh, materials, origin, target, fov_y, edge))
         told = run_child(MODULE, "--child", str(scene), "--resolution", str(resolution))
         columns.append(told)
         if pictures:

@@ -37,14 +37,15 @@ def main():
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
     parser.add_argument("--only", choices=[*MESHES], help="this mesh alone; RESULTS.md is left as it is")
     arguments = parser.parse_args()
-    resolution, runs, floor = (8, 3, 16) if arguments.quick else (64, 15, FLOOR)
+    resolution, look, runs, floor = (8, 4, 3, 16) if arguments.quick else (64, 32, 15, FLOOR)
     meshes = {"teapot": "teapot.obj"} if arguments.quick else MESHES
     if arguments.only:
         meshes = {arguments.only: MESHES[arguments.only]}
     parameters = (
-        f"meshes on a floor of 31 K vertices, vertices, resolution {resolution}; K = 1: Lambert; K = 4: Phong 50 as "
-        "its diffuse part and 4 factors of its lobe; errors of the picture against all coefficients, relative L2 "
-        "without the worst 5 % of pixels, mean over venice, Grace and sunset; times are medians of interleaved runs"
+        f"meshes on a floor of {(floor + 1) ** 2:,} vertices, vertices, resolution {resolution}; K = 1: Lambert; "
+        "K = 4: Phong 50 as its diffuse part and 4 factors of its lobe; errors of the picture against all "
+        "coefficients, relative L2 without the worst 5 % of pixels, mean over venice, Grace and sunset; times are "
+        "medians of interleaved runs"
     )
     with contextlib.ExitStack() as stack:
         folder = arguments.folder or pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -59,13 +60,13 @@ def main():
         for name, file in meshes.items():
             for terms in (1, 4):
                 scene = _scene(shared("data", "mesh", file), terms, floor)
-                compare(report, name, scene, terms, resolution, folder / name, runs)
+                compare(report, name, scene, terms, resolution, look, folder / name, runs)
         if backend() == "gpu":
             report.text(f"The GPU: {gpu()}.")
         report.speed()
 
 
-def compare(report: Report, name: str, scene, terms: int, resolution: int, folder: pathlib.Path, runs: int):
+def compare(report: Report, name: str, scene, terms: int, resolution: int, look: int, folder: pathlib.Path, runs: int):
     """One scene by all operators."""
     import jaxrelight as jr
 
@@ -87,7 +88,7 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, folde
     exact.light(environments[0])
     exact_seconds = time.perf_counter() - clock
     for label in ONE_BOUNCE:
-        prepare(f"{label}, one bounce", bounces=1, **DIRECT[label])
+        prepare(f"{label}, one bounce", bounces=1, gather_resolution=look, **DIRECT[label])
     lights, views = _times(relighters, environments[0], view, runs)
     shares = gpu_shares(relighters, environments[0], runs) if backend() == "gpu" else {}
     rows = []

@@ -33,6 +33,8 @@ ARGUMENTS = {
 def _imports_are_forgotten(monkeypatch):
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
     monkeypatch.setattr(class_record, "_seen", {})
+    for name in OWN:
+        sys.modules.pop(name, None)
     yield
     for name in OWN:
         sys.modules.pop(name, None)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxrelight.lights.local  # noqa: F401 - a module that is imported already
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 from jaxrelight.files.class_record import (
