@@ -49,7 +49,7 @@ def test_two_environments_are_refused(given):
         as_lights(given)
     assert len(str(caught.value).splitlines()) == 1
     with pytest.raises(InputError, match="2 environments"):
-        Lights(SKY) + SKY
+        _ = Lights(SKY) + SKY
 
 
 @pytest.mark.parametrize(
