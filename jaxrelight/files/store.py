@@ -1,7 +1,7 @@
 """The store: layers of precomputed arrays on disk, each named by the hash of what it was made from.
 
     STORE/
-      store.json               format, scene, settings, and which layers belong together
+      store.json               format, scene, method, and which layers belong together
       geometry-KEY/            vertices, normals and faces
       environment-KEY/         the scene's own light
       visibility-KEY/          one bit for each direction of each receiver

@@ -35,7 +35,7 @@ def make_indirect(
 
     Args:
         scene: checked already.
-        method: its dials.
+        method: the dials.
         folder: the store.
         report: as `precompute` takes it.
         seconds: to which those of each stage are added.

@@ -113,7 +113,7 @@ def factors_of(
 ) -> tuple[Factored | SpatialFactors | None, str | None, Left | None]:
     """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
 
-    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the method say.
+    None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the method says.
     """
     if method.receivers == "pixels" and not brdf.is_constant:
         return None, None, None

@@ -54,7 +54,7 @@ class Scene:
         lights: an environment and local lights, unless others are asked for.
         name: what messages call it.
         assumptions: what was approximated, or taken because nothing else was said, one line each.
-        terms: factors of a material, by its name, where it is to have another number than the settings say.
+        terms: factors of a material, by its name, where it is to have another number than the method says.
     """
 
     parts: Sequence[Part]

@@ -33,7 +33,7 @@ class Opened(NamedTuple):
 
 
 def compression(method: Transport) -> "Rows | Clusters":
-    """What the method ask for, of direct light."""
+    """What the method asks for, of direct light."""
     if method.coefficients == "shared":
         return shared(method)
     return Rows(int(method.coefficients), method.bits, natural_spectrum(method.resolution))
