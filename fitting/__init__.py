@@ -21,7 +21,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> object:
     if name not in _HOME_OF:
         raise AttributeError(f"module 'fitting' has no attribute '{name}'")
     return getattr(importlib.import_module(f"fitting.{_HOME_OF[name]}"), name)

@@ -24,7 +24,7 @@ class BrdfSamples:
     omega_o: Float[np.ndarray, "s 3"]
     values: Float[np.ndarray, "s c"]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         s = len(self.values)
         if self.values.ndim != 2 or 0 in self.values.shape:
             raise InputError(f"samples of a BRDF need values of shape [samples, channels], not {self.values.shape}")

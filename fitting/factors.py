@@ -92,7 +92,7 @@ def _problem(brdf, directions, cosine, channel):
     weights = [omega[:, 2] ** power for omega, power in zip(directions, cosine, strict=True)]
     over_o = jax.vmap(brdf.evaluate, in_axes=(None, 0))
     values = jax.lax.map(lambda one: over_o(one, omega_o)[:, channel], omega_i, batch_size=16)
-    return values * weights[0][:, None] * weights[1], weights
+    return values * weights[0][:, None] * weights[1][None], weights
 
 
 def _apart(maps, values, weights, directions, parametrisation):

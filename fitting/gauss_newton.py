@@ -57,7 +57,16 @@ class SmallLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     damping: float = 1e-2
     search: optx.AbstractSearch = optx.ClassicalTrustRegion()
 
-    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+    def init(
+        self,
+        fn: Callable,
+        y: Array,
+        args: PyTree,
+        options: dict[str, Any],
+        f_struct: PyTree,
+        aux_struct: PyTree,
+        tags: frozenset[object],
+    ) -> _State:
         """Before the first evaluation."""
         del fn, args, options, f_struct, aux_struct, tags
         nothing = NormalEquations(jnp.zeros((), y.dtype), jnp.zeros(y.size, y.dtype), jnp.zeros((y.size,) * 2, y.dtype))
@@ -65,7 +74,9 @@ class SmallLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         search = jax.tree.map(lambda leaf: leaf.astype(y.dtype), search)
         return _State(nothing, y, search, jnp.array(True), jnp.array(False))
 
-    def step(self, fn, y, args, options, state, tags):
+    def step(
+        self, fn: Callable, y: Array, args: PyTree, options: dict[str, Any], state: _State, tags: frozenset[object]
+    ) -> tuple[Array, _State, Any]:
         """Judges the trial point, and proposes the next one."""
         del tags
         model = options.get("normal_equations") or (lambda y, args: by_differentiation(fn, y, args))
@@ -83,18 +94,30 @@ class SmallLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         done = promised <= self.rtol * at.f + self.atol
         return y, _State(at, y + change.reshape(y.shape), search, jnp.array(False), done), None
 
-    def terminate(self, fn, y, args, options, state, tags):
+    def terminate(
+        self, fn: Callable, y: Array, args: PyTree, options: dict[str, Any], state: _State, tags: frozenset[object]
+    ) -> tuple[Bool[Array, ""], optx.RESULTS]:
         """When no step promises to matter."""
         del fn, y, args, options, tags
         return state.done, optx.RESULTS.successful
 
-    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+    def postprocess(
+        self,
+        fn: Callable,
+        y: Array,
+        aux: Any,
+        args: PyTree,
+        options: dict[str, Any],
+        state: _State,
+        tags: frozenset[object],
+        result: optx.RESULTS,
+    ) -> tuple[Array, Any, dict[str, Any]]:
         """Nothing is left to do."""
         del fn, args, options, state, tags, result
         return y, aux, {}
 
 
-def by_differentiation(fn, y, args) -> NormalEquations:
+def by_differentiation(fn: Callable, y: Array, args: Any) -> NormalEquations:
     """The model of any residual (fn returns it and anything else)."""
     residual, push = jax.linearize(lambda flat: jnp.ravel(fn(flat.reshape(y.shape), args)[0]), jnp.ravel(y))
     J = jax.vmap(push, out_axes=1)(jnp.eye(y.size, dtype=y.dtype))

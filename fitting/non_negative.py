@@ -21,11 +21,11 @@ def solve_non_negative(gram: Float[Array, "m m"], moment: Float[Array, " m"]) ->
     # Unit columns, and a ridge of rounding's size that decides between dependent ones.
     length = jnp.sqrt(jnp.where(jnp.diagonal(gram) > 0, jnp.diagonal(gram), 1))
     ridge = 10 * float(jnp.finfo(gram.dtype).eps)
-    gram = gram / (length[:, None] * length) + ridge * jnp.eye(len(length), dtype=gram.dtype)
+    gram = gram / (length[:, None] * length[None]) + ridge * jnp.eye(len(length), dtype=gram.dtype)
     moment = moment / length
 
     def optimum(among):
-        both = among[:, None] & among
+        both = among[:, None] & among[None]
         A = jnp.where(both, gram, 0) + jnp.diag(jnp.where(among, 0, 1).astype(gram.dtype))
         return solve_positive(A, jnp.where(among, moment, 0))
 

@@ -42,7 +42,7 @@ def _stereo(grey: Float[Array, "p n"], usable, lights: Float[Array, "n 3"]) -> F
         gram = jnp.einsum("pn,na,nb->pab", lit.astype(grey.dtype), lights, lights)
         moment = jnp.einsum("pn,na->pa", jnp.where(lit, grey, 0), lights)
         ridge = 1e-5 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + jnp.finfo(grey.dtype).tiny
-        return jnp.linalg.solve(gram + ridge * jnp.eye(3, dtype=grey.dtype), moment[..., None])[..., 0], None
+        return jnp.linalg.solve(gram + ridge * jnp.eye(3, dtype=grey.dtype)[None], moment[..., None])[..., 0], None
 
     facing = jnp.broadcast_to(jnp.asarray([0, 0, 1], grey.dtype), (len(grey), 3))
     scaled, _ = jax.lax.scan(sweep, facing, None, length=_SWEEPS)

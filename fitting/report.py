@@ -2,12 +2,13 @@
 
 import pathlib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
@@ -83,7 +84,7 @@ def in_plane(brdf: Brdf, incidence: float, outgoing: Float[np.ndarray, " o"]) ->
     return np.asarray(_evaluate(brdf, as_array(omega_i, jnp.float32), as_array(omega_o, jnp.float32)))
 
 
-def curves(pyplot, brdfs: Mapping[str, Brdf], path: pathlib.Path):
+def curves(pyplot: Any, brdfs: Mapping[str, Brdf], path: pathlib.Path) -> None:
     """Reflectance against the outgoing angle, a panel for each angle of incidence, logarithmic."""
     outgoing = np.linspace(-89, 89, 357)
     figure, axes = pyplot.subplots(1, len(INCIDENCE), figsize=(4 * len(INCIDENCE), 3.6), sharey=True)
@@ -122,7 +123,9 @@ def spheres(brdfs: Sequence[Brdf], size: int = _SIZE) -> Float[np.ndarray, "h w 
     return np.concatenate(pictures, axis=1)[:, :-_GAP]
 
 
-def residuals(pyplot, half: np.ndarray, difference: np.ndarray, values: Float[np.ndarray, "d h"], path: pathlib.Path):
+def residuals(
+    pyplot: Any, half: np.ndarray, difference: np.ndarray, values: Float[np.ndarray, "d h"], path: pathlib.Path
+) -> None:
     """Relative residual over the angles between half vector and normal, and between half vector and light."""
     figure, panel = pyplot.subplots(figsize=(5.2, 4))
     mesh = panel.pcolormesh(half, difference, 100 * values, cmap="magma", vmin=0)
@@ -133,7 +136,9 @@ def residuals(pyplot, half: np.ndarray, difference: np.ndarray, values: Float[np
     pyplot.close(figure)
 
 
-def heat_map(values: Float[np.ndarray, "h w"], mask, largest: float, path: pathlib.Path):
+def heat_map(
+    values: Float[np.ndarray, "h w"], mask: Bool[np.ndarray, "h w"], largest: float, path: pathlib.Path
+) -> None:
     """A picture of numbers 0 … largest over a surface; what is off the mask is black."""
     from matplotlib import colormaps  # pyright: ignore[reportMissingImports]
 
@@ -143,7 +148,7 @@ def heat_map(values: Float[np.ndarray, "h w"], mask, largest: float, path: pathl
     Image.fromarray((255 * np.where(mask[..., None], shades, 0)).astype(np.uint8)).save(path)
 
 
-def side_by_side(pictures: Sequence[Float[np.ndarray, "h w 3"]], exposure: float, path: pathlib.Path):
+def side_by_side(pictures: Sequence[Float[np.ndarray, "h w 3"]], exposure: float, path: pathlib.Path) -> None:
     """Linear pictures beside each other, at one exposure."""
     row = np.concatenate([np.pad(p, ((0, 0), (0, _GAP), (0, 0)), constant_values=1) for p in pictures], axis=1)
     write_image(path, row[:, :-_GAP] * 2**exposure)

@@ -38,8 +38,8 @@ def factors(weighted: Float[Array, "m s"], values: Float[Array, "c s"]) -> Float
 def residual(unknowns: Float[Array, "l q"], given: tuple[Chart, Samples]) -> Float[Array, "c s"]:
     """√weight · (fit − values) with the best factors: variable projection (Golub and Pereyra 1973)."""
     chart, samples = given
-    G = columns(*chart.lobes(unknowns), samples.products) * samples.root_weight
-    values = samples.values * samples.root_weight
+    G = columns(*chart.lobes(unknowns), samples.products) * samples.root_weight[None]
+    values = samples.values * samples.root_weight[None]
     return factors(G, values) @ G - values
 
 
@@ -62,7 +62,7 @@ def normal_equations(unknowns: Float[Array, "l q"], given: tuple[Chart, Samples]
     tangents = [jnp.zeros_like(unknowns).at[:, q].set(1) for q in range(each)]
     G, moved = zip(*(jax.jvp(move, (unknowns,), (tangent,)) for tangent in tangents), strict=True)
     h = jnp.stack([part[1:] for part in moved], axis=1).reshape(count * each, -1)
-    stack = jnp.concatenate([G[0], h, samples.values]) * samples.root_weight
+    stack = jnp.concatenate([G[0], h, samples.values]) * samples.root_weight[None]
     inner = jnp.einsum("ps,qs->pq", stack, stack)
     m = 1 + count
     G, h, values = stack[:m], stack[m : m + len(h)], stack[m + len(h) :]
@@ -74,15 +74,15 @@ def normal_equations(unknowns: Float[Array, "l q"], given: tuple[Chart, Samples]
 
     def channel(a, hr):
         free = a > 0
-        both = free[:, None] & free
+        both = free[:, None] & free[None]
         solve = jax.vmap(lambda b: solve_positive(jnp.where(both, A, jnp.eye(m, dtype=A.dtype)), b))
-        projected = solve(jnp.where(free, Gh.T, 0))
+        projected = solve(jnp.where(free[None], Gh.T, 0))
         coupled = solve(jnp.where(both, jnp.eye(m, dtype=A.dtype), 0))
         along = hh - projected @ Gh
         # What moves a column along others changes nothing: what is left of it is rounding.
         moves = free[of] & (jnp.diagonal(along) > _OF_ROUNDING * float(jnp.finfo(A.dtype).eps) * jnp.diagonal(hh))
         a, hr = jnp.where(moves, a[of], 0), jnp.where(moves, hr, 0)
-        return a * hr, a[:, None] * a * along + hr[:, None] * hr * coupled[of][:, of]
+        return a * hr, jnp.outer(a, a) * along + jnp.outer(hr, hr) * coupled[of][:, of]
 
     gradient, hessian = jax.vmap(channel)(a, hr)
     return NormalEquations(0.5 * jnp.sum(r * r), jnp.sum(gradient, axis=0), jnp.sum(hessian, axis=0))

@@ -48,7 +48,7 @@ def prepare(
     values = jnp.where(used[:, None], values, 0).T
     # The scale is a unit: a fit in other units is the same fit, so it takes no part in derivatives.
     largest = _or_one(jnp.max(jnp.abs(jax.lax.stop_gradient(values))))
-    rms = _or_one(jnp.sqrt(jnp.sum(weight * jnp.square(jax.lax.stop_gradient(values) / largest))))
+    rms = _or_one(jnp.sqrt(jnp.sum(weight[None] * jnp.square(jax.lax.stop_gradient(values) / largest))))
     scale = jax.lax.stop_gradient(largest * rms)
     return Samples(
         products=jnp.where(used[:, None], products, 0).T,

@@ -121,7 +121,13 @@ def fit_sbrdf(
 
 
 @jax.jit
-def prepared(images, usable, normals, lights, views):
+def prepared(
+    images: Float[Array, "p n c"],
+    usable: Bool[Array, "p n"],
+    normals: Float[Array, "p 3"],
+    lights: Float[Array, "n 3"],
+    views: Float[Array, "n 3"],
+) -> tuple[Float[Array, "p n 3"], Float[Array, "p n 3"], Float[Array, "p n c"], Float[Array, "p n"]]:
     """Local directions [p, n, 3], values of f [p, n, 3] and weights [p, n] of some texels."""
     frames = jax.vmap(tangent_frame)(normals)
     omega_i, omega_o = (jnp.einsum("pxy,ny->pnx", frames, side) for side in (lights, views))
@@ -165,7 +171,7 @@ def _undetermined(fits: Fits, omega_i, omega_o, weight) -> Bool[Array, " p"]:
 
 @jax.jit
 def reached(
-    brdf: LobeSum, omega_i: Float[Array, "p n 3"], omega_o: Float[Array, "p n 3"], weight: Float[Array, "p n"]
+    brdf: LobeSum, omega_i: Float[Array, "#p n 3"], omega_o: Float[Array, "#p n 3"], weight: Float[Array, "#p n"]
 ) -> Bool[Array, "p l"]:
     """Whether some sample sees a thousandth of what each lobe reflects at most.
 
@@ -185,8 +191,8 @@ def _with_lobes_of(common: LobeSum, fits: Fits, unknown, omega_i, omega_o, value
         G = columns(common.C[:, 0], common.exponent[:, 0], samples.products)
         # Lobes that the surface does not show are none here either, nor those that these samples hardly meet.
         met = jnp.max(jnp.where(weight > 0, G[1:], 0), axis=1) >= _MET
-        G = G * jnp.append(True, met & jnp.any(common.scale > 0, axis=-1))[:, None] * samples.root_weight
-        own = samples.values * samples.root_weight
+        G = G * jnp.append(True, met & jnp.any(common.scale > 0, axis=-1))[:, None] * samples.root_weight[None]
+        own = samples.values * samples.root_weight[None]
         albedos = factors(G, own)
         energy = jnp.sum(own**2)
         residual = jnp.sqrt(jnp.sum((albedos @ G - own) ** 2) / jnp.where(energy > 0, energy, 1))
@@ -218,7 +224,7 @@ def _with_common(omega_i, omega_o, values, weight, common: LobeSum, share):
     away = np.radians(60 ** ((index + 0.5) / _PRIOR))
     around = 2 * np.pi * index * 0.6180339887498949
     pattern = np.stack([np.sin(away) * np.cos(around), np.sin(away) * np.sin(around), np.cos(away)], axis=-1)
-    frames = jax.vmap(tangent_frame)(eye * jnp.asarray([-1, -1, 1.0]))
+    frames = jax.vmap(tangent_frame)(eye * jnp.asarray([[-1, -1, 1.0]]))
     lights = jnp.einsum("pxy,nx->pny", frames, jnp.asarray(pattern, eye.dtype))
     eyes = jnp.broadcast_to(eye[:, None], lights.shape)
     lobes = jax.vmap(jax.vmap(common.evaluate))(lights, eyes)

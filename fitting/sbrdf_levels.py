@@ -6,7 +6,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Real
 
 from fitting.sbrdf import as_level, packed, reached
 from fitting.solve import Options, fit_lobes
@@ -44,7 +44,7 @@ def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 
 
 
 def refitted(
-    texels: SpatialLobes, shares: Float[np.ndarray, "p q"], options: Options, pairs: int = 256
+    texels: SpatialLobes, shares: Real[np.ndarray, "p q"] | Bool[np.ndarray, "p q"], options: Options, pairs: int = 256
 ) -> Float[np.ndarray, "p width"]:
     """Lobes of least squared error to Σ_q share_q f_q / Σ_q share_q of every p, as `as_level` takes them.
 
@@ -93,7 +93,9 @@ def _common(texels: SpatialLobes, shares: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.concatenate([*parts, np.zeros((len(p), 2))], axis=1, dtype=np.float32), alike
 
 
-def mean_normals(normals: Float[np.ndarray, "*p q 3"], shares: Float[np.ndarray, "*p q"]) -> Float[np.ndarray, "*p 3"]:
+def mean_normals(
+    normals: Float[np.ndarray, "*p q 3"], shares: Real[np.ndarray, "*p q"] | Bool[np.ndarray, "*p q"]
+) -> Float[np.ndarray, "*p 3"]:
     """Unit vectors along the weighted means; where these are 0, the surface's own."""
     total = np.where(shares[..., None] > 0, shares[..., None] * normals, 0).sum(axis=-2)
     length = np.linalg.norm(total, axis=-1, keepdims=True)

@@ -79,7 +79,7 @@ class Options:
     rtol: float = 1e-5
     poor: float = 0.25
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.lobes not in (1, 2, 3):
             raise InputError(f"lobes must be 1, 2 or 3, not {self.lobes}")
         if not 1 <= self.starts <= 7:
@@ -103,19 +103,19 @@ class Fits(eqx.Module):
     """
 
     brdf: LobeSum
-    residual: Float[Array, " t"]
-    exponent_deviation: Float[Array, "t l c1"]
-    C_deviation: Float[Array, "t l c1"]
-    verdict: Int[Array, " t"]
-    masked: Int[Array, " t"]
-    used: Int[Array, " t"]
+    residual: Float[Array, "*t"]
+    exponent_deviation: Float[Array, "*t l c1"]
+    C_deviation: Float[Array, "*t l c1"]
+    verdict: Int[Array, "*t"]
+    masked: Int[Array, "*t"]
+    used: Int[Array, "*t"]
 
 
 def fit_lobes(
-    omega_i: Float[Arrays, "t s 3"],
-    omega_o: Float[Arrays, "t s 3"],
+    omega_i: Float[Arrays, "t s 3"] | Float[Arrays, "s 3"],
+    omega_o: Float[Arrays, "t s 3"] | Float[Arrays, "s 3"],
     values: Float[Arrays, "t s c"],
-    weight: Float[Arrays, "t s"] | None = None,
+    weight: Float[Arrays, "t s"] | Float[Arrays, " s"] | None = None,
     *,
     options: Options = Options(),
 ) -> Fits:
@@ -183,7 +183,7 @@ def fit_one(
         exponent=found.exponent.T,
         scale=scale.reshape(c, -1).T * samples.scale,
     )
-    energy = jnp.sum(jnp.square(samples.values * samples.root_weight))
+    energy = jnp.sum(jnp.square(samples.values * samples.root_weight[None]))
     relative = jnp.sqrt(jnp.sum(found.squares)) / jnp.sqrt(jnp.where(energy > 0, energy, 1))
     verdict = _judge(samples, found, relative, options)
     return Fits(
@@ -216,8 +216,8 @@ def _fit(samples: Samples, options: Options) -> _Found:
     solution = _solve(start, (chart, samples), options)
     unknowns = solution.value
     C, exponent = chart.lobes(unknowns)
-    G = columns(C, exponent, samples.products) * samples.root_weight
-    values = samples.values * samples.root_weight
+    G = columns(C, exponent, samples.products) * samples.root_weight[None]
+    values = samples.values * samples.root_weight[None]
     a = factors(G, values)
     squares = jnp.sum(jnp.square(a @ G - values))
     freedom = samples.used * len(values) - unknowns.size - a.size
@@ -228,10 +228,10 @@ def _fit(samples: Samples, options: Options) -> _Found:
 
 def _search(samples: Samples, options: Options) -> tuple[Float[Array, "l 3"], Float[Array, " l"]]:
     """The lobes that several starts found, added one after the other."""
-    values = samples.values * samples.root_weight
+    values = samples.values * samples.root_weight[None]
 
     def add(C, exponent):
-        there = columns(C, exponent, samples.products) * samples.root_weight
+        there = columns(C, exponent, samples.products) * samples.root_weight[None]
         starts = best_additions(
             there, samples.products, values, samples.root_weight, options.starts, options.anisotropic
         )

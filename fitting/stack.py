@@ -7,6 +7,7 @@ directions to it are given. Lights are far away.
 import dataclasses
 import pathlib
 import tomllib
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -45,7 +46,7 @@ class Stack:
     normals: Float[np.ndarray, "h w 3"] | None = None
     name: str = "the stack"
 
-    def of(self, chosen) -> "Stack":
+    def of(self, chosen: slice | Sequence[int] | np.ndarray) -> "Stack":
         """Some of the images."""
         return dataclasses.replace(
             self,

@@ -57,7 +57,7 @@ def best_additions(
         for _ in EXPONENTS[1:]:
             square = powers[-1] * powers[-1]
             powers.append(square * square)
-        lobes = jnp.stack(powers) * root_weight
+        lobes = jnp.stack(powers) * root_weight[None]
         cross = jnp.einsum("es,ps->ep", lobes, known)
         own = jnp.sum(lobes * lobes, axis=-1)
 

@@ -90,7 +90,7 @@ class Transport(Method):
     gather: Literal["barycentric", "nearest"] = "barycentric"
     """Where bounced light is read: between the corners of each face that is seen, or at the nearest corner."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_choice("receivers", self.receivers, ("pixels", "vertices"))
         for name, low, high in (
             ("resolution", 4, 512),
@@ -172,7 +172,7 @@ class Indirect(Method):
     seed: int = 0
     """Seed of the places of points, and of photons; a whole number from 0."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         samples = self.gather_samples
         require(
             type(samples) is int and samples >= 64 and samples & (samples - 1) == 0 and samples.bit_length() % 2 == 1,
@@ -227,7 +227,7 @@ class Prefiltered(Method):
     map_rows: int = 512
     """Rows of the finest filtered map; a power of two from 32. Sharper reflections need more."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_choice("shadows", self.shadows, (True, False))
         check_choice("texels", self.texels, ("parameters", "reflectance"))
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
@@ -268,7 +268,7 @@ class Adaptive(Method):
     seed: int = 0
     """Seed of the samples; a whole number from 0."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         require(
             self.samples is None or self.tolerance is None,
             "samples are a budget and tolerance is a quality; give one of both",
@@ -310,26 +310,26 @@ def documentation(kind: type) -> dict[str, str]:
     return texts
 
 
-def require(holds: bool, message: str):
+def require(holds: bool, message: str) -> None:
     """Raises an `InputError` unless something holds."""
     if not holds:
         raise InputError(message)
 
 
-def check_choice(name: str, value: object, choices: tuple):
+def check_choice(name: str, value: object, choices: tuple) -> None:
     """Refuses a value that is none of the choices, or of another type."""
     *others, last = (repr(choice) for choice in choices)
     is_one = any(type(value) is type(choice) and value == choice for choice in choices)
     require(is_one, f"{_told(name, value)} {', '.join(others)} or {last}")
 
 
-def check_number(name: str, value: object, is_within: Callable[[float], bool], limits: str):
+def check_number(name: str, value: object, is_within: Callable[[float], bool], limits: str) -> None:
     """Refuses what is no number, or lies outside its limits."""
     is_good = isinstance(value, int | float) and not isinstance(value, bool) and is_within(value)
     require(is_good, f"{_told(name, value)} {limits}")
 
 
-def check_whole(dial: str, value: object, low: float, high: float):
+def check_whole(dial: str, value: object, low: float, high: float) -> None:
     """Refuses what is no whole number within a range."""
     name = dial.replace("_", " ")
     kind = "whole numbers" if name.endswith("s") else "a whole number"

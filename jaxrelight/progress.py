@@ -21,7 +21,7 @@ def progress(quiet: bool = False) -> Iterator[Report]:
     stage, done, total = "nothing", 0, 1
     with _lines(quiet) if quiet or not sys.stderr.isatty() else _bars() as show:
 
-        def report(*state):
+        def report(*state) -> None:
             nonlocal stage, done, total
             stage, done, total = state
             show(stage, done, total)
@@ -48,7 +48,7 @@ def _bars():
     with Progress(*columns, console=Console(stderr=True)) as bars:
         tasks = {}
 
-        def show(stage: str, done: int, total: int):
+        def show(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(f"{stage}, {_counted(stage, total)}", total=total)
             bars.update(tasks[stage], completed=done)
@@ -62,7 +62,7 @@ def _lines(quiet: bool):
     began: dict[str, tuple[float, int]] = {}
     told = time.monotonic()
 
-    def show(stage: str, done: int, total: int):
+    def show(stage: str, done: int, total: int) -> None:
         nonlocal told
         now = time.monotonic()
         start, first = began.setdefault(stage, (now, done))

@@ -8,7 +8,18 @@ from typing import Any
 
 import hypothesis
 import jax
+import jaxtyping
+import numpy as np
 import pytest
+
+from tests import runtime_types
+
+# Where a signature asks for an array of JAX, NumPy's will do, as for JAX's own functions.
+jaxtyping.Array = jax.Array | np.ndarray  # pyright: ignore[reportAttributeAccessIssue]
+# What signatures say of shapes and types is checked at every call (at every trace, of what is jitted).
+jaxtyping.install_import_hook(["jaxrelight", "fitting"], "tests.runtime_types.checked")
+# No silent broadcasting between arrays of different rank.
+jax.config.update("jax_numpy_rank_promotion", "raise")
 
 hypothesis.settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, max_examples=40)
 hypothesis.settings.load_profile("repeatable")
@@ -42,9 +53,9 @@ def x64():
 
 
 @pytest.fixture
-def strict_ranks():
-    """No silent broadcasting between arrays of different rank."""
-    with jax.numpy_rank_promotion("raise"):
+def wrong_types():
+    """The test passes what a signature forbids, to see how the function itself refuses it."""
+    with runtime_types.ignored():
         yield
 
 

@@ -172,6 +172,7 @@ def test_the_ends_of_every_range_are_accepted(kind: type[Method], good: dict):
     assert {name: getattr(method, name) for name in good} == good
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("kind", "bad", "message"),
     [
@@ -245,6 +246,7 @@ def test_all_else_is_refused_in_one_line(kind: type[Method], bad: dict, message:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize("kind", DEFAULTS)
 def test_what_is_of_another_type_is_refused(kind: type[Method]):
     """Texts for numbers, numbers for texts, what is no whole number, and truths for numbers, by the dial's name."""

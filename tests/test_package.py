@@ -185,6 +185,46 @@ def test_import_is_light(module: str):
     assert done.stdout.strip() == "[]"
 
 
+def _lacking(tree: ast.Module) -> list[str]:
+    """Public functions, and public methods, of which a parameter or the result has no annotation."""
+    lacking = []
+
+    def search(node: ast.AST, inside: str | None) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.ClassDef):
+                search(child, child.name)
+            elif isinstance(child, ast.FunctionDef):
+                if child.name.startswith("_") and not child.name.endswith("__"):
+                    continue
+                given = child.args
+                parameters = [*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg]
+                decorators = {one.id for one in child.decorator_list if isinstance(one, ast.Name)}
+                if inside and "staticmethod" not in decorators:
+                    parameters = parameters[1:]
+                missing = [one.arg for one in parameters if one is not None and one.annotation is None]
+                if child.returns is None and child.name != "__init__":
+                    missing.append("result")
+                lacking.extend(f"{child.name}: {name}" for name in missing)
+            elif not isinstance(child, ast.Lambda):
+                search(child, inside)
+
+    search(tree, None)
+    return lacking
+
+
+@pytest.mark.parametrize("package", ["jaxrelight", "fitting"])
+def test_public_functions_are_annotated(package: str):
+    paths = sorted((ROOT.parent / package).rglob("*.py"))
+    assert paths
+    lacking = {path.name: _lacking(ast.parse(path.read_text(encoding="utf-8"))) for path in paths}
+    assert not {name: names for name, names in lacking.items() if names}
+
+
+def test_a_missing_annotation_is_found():
+    source = "def f(a, *, b: int): ...\nclass C:\n    def g(self, *c) -> None: ...\n    def _h(self, d): ..."
+    assert _lacking(ast.parse(source)) == ["f: a", "f: result", "g: c"]
+
+
 def test_embree_has_one_home():
     users = {
         name for name, tree in _modules().items() if any(i.partition(".")[0] == "embreex" for i in _imported(tree))

@@ -41,7 +41,7 @@ class Factors:
     json: bool = False
     """Print one JSON object at the end."""
 
-    def run(self):
+    def run(self) -> None:
         """Runs the command."""
         start, seconds = time.perf_counter(), {}
         from fitting.brdf_samples import Grid, sample

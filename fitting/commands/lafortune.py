@@ -45,7 +45,7 @@ class Lafortune:
     json: bool = False
     """Print one JSON object at the end."""
 
-    def run(self):
+    def run(self) -> None:
         """Runs the command."""
         start, seconds = time.perf_counter(), {}
         from fitting.commands.values import known

@@ -43,7 +43,7 @@ class Sbrdf:
     json: bool = False
     """Print one JSON object at the end."""
 
-    def run(self):
+    def run(self) -> None:
         """Runs the command."""
         start, seconds = time.perf_counter(), {}
         import numpy as np

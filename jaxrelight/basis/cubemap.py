@@ -45,7 +45,7 @@ def solid_angles(resolution: int) -> Float[np.ndarray, " d"]:
     return angles
 
 
-def texel_of(direction: Float[np.ndarray, "... 3"], resolution: int) -> Int[np.ndarray, "..."]:
+def texel_of(direction: Float[np.ndarray, "... 3"], resolution: int) -> Int[np.ndarray, "..."] | np.int64:
     """Index, in the order of `directions`, of the texel that each direction (of any length but 0) falls in."""
     axis = np.argmax(np.abs(direction), axis=-1)
     major = np.take_along_axis(direction, axis[..., None], axis=-1)[..., 0]

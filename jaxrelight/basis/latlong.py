@@ -11,15 +11,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Real
 from scipy import sparse
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.overlaps import overlaps
+from jaxrelight.numerics.numbers import Number
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 
 
-def directions(u: Float[np.ndarray, "..."], v: Float[np.ndarray, "..."]) -> Float[np.ndarray, "... 3"]:
+def directions(u: Number | Real[np.ndarray, "..."], v: Number | Real[np.ndarray, "..."]) -> Float[np.ndarray, "... 3"]:
     """Unit vectors at image coordinates u (rightwards) and v (downwards), both in 0 … 1."""
     longitude, polar = 2 * np.pi * (0.5 - u), np.pi * v
     sine = np.sin(polar)

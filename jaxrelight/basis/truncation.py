@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Integer
 
 
 class Truncated(eqx.Module):
@@ -17,10 +17,10 @@ class Truncated(eqx.Module):
         total: energy of the whole row, by channel.
     """
 
-    indices: Int[Array, "r n"]
-    values: Float[Array, "r c n"]
-    dropped: Float[Array, "r c"]
-    total: Float[Array, "r c"]
+    indices: Integer[Array, "*r n"]
+    values: Float[Array, "*r c n"]
+    dropped: Float[Array, "*r c"]
+    total: Float[Array, "*r c"]
 
 
 def keep_largest(rows: Float[Array, "r c d"], count: int) -> Truncated:

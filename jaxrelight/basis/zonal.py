@@ -56,7 +56,7 @@ def _means(pixels: Float[Array, "h w c"], exponent: Float[Array, ""], reach: int
 
         # 1 − cos of the angle between two directions, without cancellation where they are close.
         there, here = near(polar), polar[i + reach]
-        gap = 2 * jnp.sin((there - here) / 2)[:, None] ** 2 + (jnp.sin(there) * jnp.sin(here))[:, None] * turned
+        gap = 2 * jnp.sin((there - here) / 2)[:, None] ** 2 + (jnp.sin(there) * jnp.sin(here))[:, None] * turned[None]
         above = (gap < 1) & (near(solid_angle) > 0)[:, None]
         kernel = jnp.where(above, jnp.exp(exponent * jnp.log1p(-jnp.where(above, gap, 0))), 0)
         # A kernel is even in longitude: its transform is real.

@@ -64,8 +64,8 @@ class Adaptive(Brdf):
         if len(self.phi) == 1:
             slices, weights = fast, fast_weight
         else:
-            slices = (slow[:, None] * len(self.theta) + fast).ravel()
-            weights = (slow_weight[:, None] * fast_weight).ravel()
+            slices = (slow[:, None] * len(self.theta) + fast[None]).ravel()
+            weights = (slow_weight[:, None] * fast_weight[None]).ravel()
         u, v = bilinear_warp.invert(self.visible, self.along, self.down, x, y, slices, weights)
         samples = bilinear_warp.look_up(self.samples, u, v, slices, weights)
         first, one = jnp.zeros(1, jnp.int32), jnp.ones(1, weights.dtype)

@@ -39,11 +39,11 @@ def refactored(brdf: Brdf, start: Factored, cosine: tuple[float, float] = COSINE
     def best(other: Float[Array, "k c t"], square: Float[Array, " m"], swapped: bool) -> Float[Array, "k c t"]:
         """Maps of one side by weighted least squares, given those of the other side: normal equations of k × k."""
         held = other[..., inner]
-        weighted = held * square
+        weighted = held * square[None, None]
         gram = jnp.einsum("kcm,jcm->ckj", weighted, held, precision="highest")
         # A term that has died leaves its row 0.
         floor = jnp.finfo(dtype).eps * jnp.trace(gram, axis1=1, axis2=2)[:, None, None]
-        gram = gram + floor * jnp.eye(len(held), dtype=dtype)
+        gram = gram + floor * jnp.eye(len(held), dtype=dtype)[None]
 
         @jax.checkpoint
         def row(one):

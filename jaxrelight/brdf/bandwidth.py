@@ -64,7 +64,7 @@ class CompressedBandwidth(eqx.Module):
 
     def table(self) -> BandwidthTable:
         """What is left of the table."""
-        return BandwidthTable(jnp.maximum(self.mean + self.weights @ self.components, 0), self.isotropic)
+        return BandwidthTable(jnp.maximum(self.mean[None] + self.weights @ self.components, 0), self.isotropic)
 
 
 def lobe_bandwidth(brdf: LobeSum, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, ""]:

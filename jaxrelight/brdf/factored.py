@@ -1,7 +1,7 @@
 """Separable factors as reflections: maps of either side, looked up bilinearly (Wang 2006 §3.3.2)."""
 
 import jax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from jaxrelight.brdf.parametrisation import DISC, Parametrisation, look_up
 from jaxrelight.brdf.reflection import Reflection
@@ -43,9 +43,9 @@ class Factored(Reflection):
         return look_up(self.parametrisation, self.view_maps, omega_o)
 
     @property
-    def per_receiver(self) -> "Factored":
+    def per_receiver(self) -> PyTree[bool]:
         """All receivers share the maps."""
-        return Factored(False, False, self.parametrisation)  # pyright: ignore[reportArgumentType]
+        return jax.tree.map(lambda _: False, self)
 
 
 class Symmetric(Reflection):
@@ -76,6 +76,6 @@ class Symmetric(Reflection):
         return self.signs * look_up(self.parametrisation, self.maps, omega_o)
 
     @property
-    def per_receiver(self) -> "Symmetric":
+    def per_receiver(self) -> PyTree[bool]:
         """All receivers share the maps."""
-        return Symmetric(False, False, self.parametrisation)  # pyright: ignore[reportArgumentType]
+        return jax.tree.map(lambda _: False, self)

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy import interpolate
 
 from jaxrelight.brdf.contract import Brdf
@@ -58,7 +58,7 @@ class HalfVectorSampler(eqx.Module):
     table: HalfVectors
     omega_o: Float[Array, "3"]
     along: Float[Array, "2"]
-    row: Float[Array, ""]
+    row: Int[Array, ""]
 
     def drawn(self, u: Float[Array, ""], v: Float[Array, ""]) -> tuple[Float[Array, "3"], Float[Array, ""]]:
         """The direction that numbers from 0 to 1 stand for, and its density by solid angle."""

@@ -18,7 +18,7 @@ from jaxrelight.numerics import safe
 _PER_DOUBLING, _DOUBLINGS, _COSINES = 2, 14, 257
 
 
-class CutLobe(NamedTuple):
+class ClippedLobe(NamedTuple):
     """What stands for the product.
 
     Attributes:
@@ -33,7 +33,7 @@ class CutLobe(NamedTuple):
 
 
 @jax.jit
-def cut(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> CutLobe:
+def clip_lobe(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> ClippedLobe:
     """The lobe of a unit direction p and an exponent n in the local frame, cut at z = 0 and weighed by z.
 
     From a table over n and p·N; finite and differentiable everywhere. p may lie below the horizon.
@@ -52,7 +52,7 @@ def cut(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> CutLobe:
     lower = (1 - right) * entry(1, 0) + right * entry(1, 1)
     found = (1 - down) * upper + down * lower
     moved = found[..., 1:2] * peak + found[..., 2:3] * _upwards(peak)
-    return CutLobe(jnp.exp(found[..., 0]), safe.normalize(moved), 2 ** (found[..., 3] / _PER_DOUBLING) - 1)
+    return ClippedLobe(jnp.exp(found[..., 0]), safe.normalize(moved), 2 ** (found[..., 3] / _PER_DOUBLING) - 1)
 
 
 def _upwards(peak: Float[Array, "... 3"]) -> Float[Array, "... 3"]:

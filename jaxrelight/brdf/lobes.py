@@ -17,9 +17,9 @@ from jaxrelight.numerics.numbers import Number, Numbers, as_numbers, float_dtype
 
 # C with max|C| = 1, the exponent and the scale of one lobe, as `lobe` makes them.
 Lobe = tuple[
-    Float[Array | np.ndarray, "c1 3"],
-    Float[Array | np.ndarray, " c1"],
-    Float[Array | np.ndarray, " c"],
+    Float[Array | np.ndarray, "_ 3"],
+    Float[Array | np.ndarray, " _"],
+    Float[Array | np.ndarray, " _"],
 ]
 
 
@@ -33,11 +33,11 @@ class LobeSum(Brdf):
     turned from the tangent; None for none. With Cx = Cy it changes nothing.
     """
 
-    diffuse: Float[Array, " c"]
-    C: Float[Array, "l c1 3"]
-    exponent: Float[Array, "l c1"]
-    scale: Float[Array, "l c"]
-    turn: Float[Array, ""] | None = None
+    diffuse: Float[Array, "*p c"]
+    C: Float[Array, "*p l c1 3"]
+    exponent: Float[Array, "*p l c1"]
+    scale: Float[Array, "*p l c"]
+    turn: Float[Array, "*p"] | None = None
 
     @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
@@ -59,7 +59,7 @@ class LobeSum(Brdf):
 
         The direction may lie below the surface; where C is nothing it is the zero vector.
         """
-        along = self.C * self._in_axes(omega_o)
+        along = self.C * self._in_axes(omega_o)[None, None]
         peak = safe.normalize(along)
         return peak if self.turn is None else turned(peak, self.turn), safe.norm(along)
 
@@ -85,7 +85,7 @@ class LobeSum(Brdf):
 
 
 @jax.jit
-def turned(vectors: Float[Array, "... 3"], angle: Float[Array, ""]) -> Float[Array, "... 3"]:
+def turned(vectors: Float[Array, "*p 3"], angle: Float[Array, "*#p"] | Float[Array, ""]) -> Float[Array, "... 3"]:
     """Vectors turned about z by an angle in radians, counter-clockwise seen from above."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]

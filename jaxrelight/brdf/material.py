@@ -77,7 +77,7 @@ def white_phong(exponent: Numbers, dtype: DTypeLike | None = None) -> LobeSum:
     return LobeSum(*(as_array(x, dtype) for x in arrays))
 
 
-def in_grey(material: Material, diffuse: bool = False) -> Material:
+def split_tint(material: Material, diffuse: bool = False) -> Material:
     """The same material, with lobes that are the same in all channels but for a tint as grey ones, times the tint.
 
     What they add to is a component of its own then: white, times the albedo. Transport of such parts has one channel.

@@ -22,7 +22,7 @@ NormalMaps = Sequence[Texture | None]
 _LEAST_COSINE = 0.05
 
 
-def bent(
+def apply_normal_map(
     normals: Float[np.ndarray, "p 3"],
     u_axes: Float[np.ndarray, "p 4"],
     uv: Float[np.ndarray, "p 2"],
@@ -53,7 +53,7 @@ def at_vertices(surfaces: Surfaces, maps: NormalMaps) -> Surfaces:
     for number, bumps in enumerate(maps):
         if bumps is not None:
             mine = surfaces.mesh_of_vertex == number
-            normals[mine] = bent(normals[mine], surfaces.u_axes[mine], surfaces.uv[mine], bumps)
+            normals[mine] = apply_normal_map(normals[mine], surfaces.u_axes[mine], surfaces.uv[mine], bumps)
     return dataclasses.replace(surfaces, normals=normals) if any(maps) else surfaces
 
 
@@ -70,7 +70,7 @@ def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) ->
         mine = np.flatnonzero(gbuffer.mesh == number)
         if bumps is not None and len(mine):
             axes = np.einsum("pk,pkx->px", gbuffer.barycentric[mine], surfaces.u_axes[gbuffer.corners[mine]])
-            turned = side[mine] * bent(
+            turned = side[mine] * apply_normal_map(
                 side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps, gbuffer.footprint[mine]
             )
             omega_o = gbuffer.omega_o[mine]

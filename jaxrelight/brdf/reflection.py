@@ -5,7 +5,7 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.texture import Footprint
@@ -47,8 +47,8 @@ class Reflection(eqx.Module):
 
     @property
     @abc.abstractmethod
-    def per_receiver(self) -> "Reflection":
-        """A reflection (or a prefix of one) of booleans: True for arrays of which each receiver has its own."""
+    def per_receiver(self) -> PyTree[bool]:
+        """A tree (or a prefix of one) of booleans: True for arrays of which each receiver has its own."""
 
 
 class FixedView(Reflection):
@@ -93,9 +93,11 @@ class FixedView(Reflection):
         return self._whole.is_constant
 
     @property
-    def per_receiver(self) -> "FixedView":
+    def per_receiver(self) -> PyTree[bool]:
         """Every receiver has its ω_o and its `own` parameters; all share the others."""
-        return FixedView(False, True, True)  # pyright: ignore[reportArgumentType]
+        shared = jax.tree.map(lambda _: False, self)
+        own = jax.tree.map(lambda _: True, (self.omega_o, self.own))
+        return eqx.tree_at(lambda of: (of.omega_o, of.own), shared, own, is_leaf=lambda of: of is None)
 
 
 def of_group(reflection: Reflection, group: int) -> Reflection:

@@ -13,7 +13,7 @@ def asymmetry(matrix: Float[np.ndarray, "n n"], rows: int = 256) -> float:
     starts = range(0, len(matrix), rows)
     apart = max(np.abs(matrix[s : s + rows] - matrix[:, s : s + rows].T).max() for s in starts)
     largest = max(np.abs(matrix[s : s + rows]).max() for s in starts)
-    return apart / largest if largest else 0.0
+    return float(apart / largest) if largest else 0.0
 
 
 def largest_singular(

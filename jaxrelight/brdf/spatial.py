@@ -21,7 +21,8 @@ Minification = Literal["levels", "averaged", "none"]
 class SpatialLobes(eqx.Module):
     """Maps of the parameters of `LobeSum`, whose C and exponents are shared by the channels.
 
-    Row 0 is the top: (u, v) = (0, 1) is the upper left corner, as of a `Texture`.
+    Row 0 is the top: (u, v) = (0, 1) is the upper left corner, as of a `Texture`. Arrays lead with rows and columns;
+    inside of `jax.vmap` over texels they lead with nothing.
 
     Attributes:
         diffuse: albedo.
@@ -32,11 +33,11 @@ class SpatialLobes(eqx.Module):
         coarser: levels of detail for surfaces far away, each of 2×2 texels of the one before; none may be given.
     """
 
-    diffuse: Float[Array, "h w c"]
-    C: Float[Array, "h w l 3"]
-    exponent: Float[Array, "h w l"]
-    scale: Float[Array, "h w l c"]
-    axis: Float[Array, "h w 2"]
+    diffuse: Float[Array, "*hw c"]
+    C: Float[Array, "*hw l 3"]
+    exponent: Float[Array, "*hw l"]
+    scale: Float[Array, "*hw l c"]
+    axis: Float[Array, "*hw 2"]
     coarser: "tuple[SpatialLobes, ...]" = eqx.field(default=(), kw_only=True)
 
     @property
@@ -78,7 +79,7 @@ class SpatialLobes(eqx.Module):
         return PackedLobes(texture, self.lobes, self.channels)
 
     @jax.jit
-    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
+    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*#p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates, see `PackedLobes.at`."""
         return self.packed().at(uv, footprint)
 
@@ -105,7 +106,7 @@ class PackedLobes(eqx.Module):
     channels: int = eqx.field(static=True)
 
     @jax.jit
-    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*p"] | float = 0.0) -> LobeSum:
+    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*#p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
         Parameters are interpolated between texels and levels. For scales these are the shares of light that lobes

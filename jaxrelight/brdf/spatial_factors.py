@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from jaxrelight.brdf.factors import COSINE, Samples
 from jaxrelight.brdf.lobes import LobeSum
@@ -27,7 +27,7 @@ from jaxrelight.numerics.numbers import float_dtype
 
 # Shapes are sought until so little of the lobes is left, at most so many; among so many lobes, compared in so many
 # pairs of directions. Lobes whose weights are solved for together.
-TOLERANCE, MOST_SHAPES, _CANDIDATES, _PAIRS, _TOGETHER = 0.02, 24, 1024, 1024, 4096
+TOLERANCE, MAX_SHAPES, _CANDIDATES, _PAIRS, _TEXEL_BATCH = 0.02, 24, 1024, 1024, 4096
 
 
 class SpatialFactors(Reflection):
@@ -71,13 +71,13 @@ class SpatialFactors(Reflection):
         return jnp.einsum("kb,bc->kc", shapes, weights, precision="highest")
 
     @property
-    def per_receiver(self) -> "SpatialFactors":
+    def per_receiver(self) -> PyTree[bool]:
         """All receivers share everything."""
-        return SpatialFactors(False, False, Texture(False, False))  # pyright: ignore[reportArgumentType]
+        return jax.tree.map(lambda _: False, self)
 
 
 @dataclasses.dataclass(frozen=True)
-class Left:
+class FactorResidual:
     """What shared factors leave out.
 
     Attributes:
@@ -110,8 +110,8 @@ def factor_spatial(
     resolution: int = 48,
     *,
     tolerance: float = TOLERANCE,
-    most_shapes: int = MOST_SHAPES,
-) -> tuple[SpatialFactors, Left]:
+    most_shapes: int = MAX_SHAPES,
+) -> tuple[SpatialFactors, FactorResidual]:
     """Shared factors of a map's lobes, without its diffuse part, and what they leave out.
 
     Coarser levels of detail are means of the weights, and so of what the texels reflect.
@@ -136,7 +136,7 @@ def factor_spatial(
     size = np.sqrt(np.mean(weights**2, axis=(0, 2)))
     light, view, left = _factored(shapes, size, terms, resolution)
     texture = Texture(as_array(weights.reshape(h, w, -1), float_dtype(lobes))).minified()
-    return SpatialFactors(light, view, texture), Left(error, left)
+    return SpatialFactors(light, view, texture), FactorResidual(error, left)
 
 
 def _lobes_of(lobes: SpatialLobes) -> LobeSum:
@@ -182,7 +182,7 @@ def _weights(every: LobeSum, scale: Float[np.ndarray, "t l c"], basis, pairs, at
     inverse = np.linalg.inv(gram + 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram)))
     solve = (inverse @ np.asarray(basis, float)).astype(float_dtype(every))
     weights, missed, total = np.empty((texels, len(gram), channels)), 0.0, 0.0
-    size = max(1, _TOGETHER // count)
+    size = max(1, _TEXEL_BATCH // count)
     for start in range(0, texels, size):
         index = np.minimum(np.arange(start, start + size), texels - 1)
         mine = jax.tree.map(lambda leaf, i=index: leaf.reshape(texels, count, *leaf.shape[1:])[i], every)
@@ -197,7 +197,7 @@ def _weights(every: LobeSum, scale: Float[np.ndarray, "t l c"], basis, pairs, at
 def _solved(lobes: LobeSum, scale, basis, solve, omega_i, omega_o, at):
     def texel(given):
         lobes, scale = given
-        values = jax.vmap(lambda lobe: jax.vmap(lobe.evaluate)(omega_i, omega_o)[:, 0])(lobes) * at
+        values = jax.vmap(lambda lobe: jax.vmap(lobe.evaluate)(omega_i, omega_o)[:, 0])(lobes) * at[None]
         values = jnp.einsum("lp,lc->pc", values, scale, precision="highest")
         weights = jnp.matmul(solve, values, precision="highest")
         off = values - jnp.matmul(basis.T, weights, precision="highest")

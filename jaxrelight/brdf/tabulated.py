@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrelight.brdf.contract import Brdf
 
@@ -94,7 +94,7 @@ class Tabulated(Brdf):
         return False
 
 
-def corners(angles: HalfDifference, shape: tuple[int, ...]) -> tuple[Float[Array, "8"], Float[Array, "8"]]:
+def corners(angles: HalfDifference, shape: tuple[int, ...]) -> tuple[Int[Array, "8"], Float[Array, "8"]]:
     """The eight entries around a pair of directions, numbered in the order h, d, p, and their weights."""
     n_h, n_d, n_p = shape
     # Within half an entry of θ_h = 0 the root has no finite slope, and the table no other entry to go to.

@@ -29,7 +29,7 @@ class Demo:
     """Rows of each picture."""
     json: Json = False
 
-    def run(self):
+    def run(self) -> None:
         """Runs the command."""
         with summary_of("demo", self.json) as (summary, seconds):
             with timed(seconds, "imports"):

@@ -25,7 +25,7 @@ class Info:
     modules: Modules = ()
     json: Json = False
 
-    def run(self):
+    def run(self) -> None:
         """Runs the command."""
         import_modules(self.modules)
         suffix = self.path.suffix.lower()

@@ -35,10 +35,11 @@ def prepared(
     scene: Scene, method: Method, store: pathlib.Path | None, report: Report, summary: dict, seconds: dict[str, float]
 ) -> Relighter:
     """`prepare`; tells its notes, and adds what was precomputed to the summary and to the seconds."""
-    relighter, build = prepare_with_build(scene, method, store, report)
+    with timed(whole := {}, "prepare"):
+        relighter, build = prepare_with_build(scene, method, store, report)
+    seconds.update(whole if build is None else build.seconds)
     if build is not None:
         notes(build.notes)
-        seconds.update(build.seconds)
         tracing = sum(build.seconds.get(stage, 0) for stage in _TRACING)
         summary |= {
             "store": str(build.folder),

@@ -55,14 +55,14 @@ def default_folder(key: str) -> pathlib.Path:
     return pathlib.Path(platformdirs.user_cache_dir("jaxrelight", appauthor=False)) / key
 
 
-def key_of(*parts) -> str:
+def key_of(*parts: object) -> str:
     """Sixteen hexadecimal digits that identify arrays, texts, numbers and nested lists or tables of them.
 
     Other formats of the store have other digits.
     """
     digest = hashlib.sha256(f"{FORMAT};".encode())
 
-    def add(part):
+    def add(part) -> None:
         if isinstance(part, np.ndarray):
             add(["array", str(part.dtype), list(part.shape)])
             digest.update(np.ascontiguousarray(part).data)
@@ -121,7 +121,7 @@ class Layer:
             self.done.add(group)
         return group in self.done
 
-    def write(self, group: int, **arrays: np.ndarray):
+    def write(self, group: int, **arrays: np.ndarray) -> None:
         """Writes all arrays of one group; what was computed in another floating type is kept in the layer's.
 
         Raises:
@@ -250,7 +250,7 @@ def open_layer(folder: pathlib.Path) -> Layer:
     return layer
 
 
-def write_header(folder: pathlib.Path, header: Mapping):
+def write_header(folder: pathlib.Path, header: Mapping) -> None:
     """Writes what belongs together into `store.json`."""
     with _told(folder):
         _sweep(folder)

@@ -3,6 +3,7 @@
 import difflib
 import pathlib
 import tomllib
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ class Table:
     Every reader raises `InputError` for what is missing or of another kind, by its key and `where` it stands.
     """
 
-    def __init__(self, content, where: str):
+    def __init__(self, content: object, where: str):
         if not isinstance(content, dict):
             raise InputError(f"{where} must be a table")
         self._content, self.where, self._asked = content, where, set()
@@ -53,7 +54,7 @@ class Table:
         """All keys."""
         return list(self._content)
 
-    def get(self, key: str, *default):
+    def get(self, key: str, *default: Any) -> Any:
         """A value of any kind; without a default it must be given."""
         if self.has(key):
             return self._content[key]
@@ -64,7 +65,7 @@ class Table:
         fault = f"'{close[0]}' is not known; did you mean '{key}'?" if close else f"'{key}' is missing"
         raise InputError(f"{self.where}: {fault}")
 
-    def table(self, key: str, *default) -> "Table":
+    def table(self, key: str, *default: Any) -> "Table":
         """A table in this one."""
         return Table(self.get(key, *default), f"{self.where}: [{key}]")
 
@@ -75,18 +76,18 @@ class Table:
             raise InputError(f"{self.where}: '{key}' must be written as [[{key}]]")
         return [Table(entry, f"{self.where}: [[{key}]] number {i + 1}") for i, entry in enumerate(entries)]
 
-    def text(self, key: str, *default) -> str:
+    def text(self, key: str, *default: Any) -> str:
         """Text."""
         value = self.get(key, *default)
         if not isinstance(value, str):
             raise InputError(f"{self.where}: '{key}' must be text, not {value!r}")
         return value
 
-    def number(self, key: str, *default) -> float:
+    def number(self, key: str, *default: Any) -> float:
         """One number."""
         return float(self.array(key, (), *default))
 
-    def whole(self, key: str, *default) -> int:
+    def whole(self, key: str, *default: Any) -> int:
         """One whole number."""
         value = self.get(key, *default)
         if not isinstance(value, int) or isinstance(value, bool):
@@ -100,15 +101,15 @@ class Table:
             raise InputError(f"{self.where}: '{key}' must be true or false, not {value!r}")
         return value
 
-    def array(self, key: str, shape: tuple[int, ...], *default) -> np.ndarray:
+    def array(self, key: str, shape: tuple[int, ...], *default: Any) -> np.ndarray:
         """Numbers of a given shape."""
         return self.numbers(key, [shape], *default)
 
-    def channels(self, key: str, *default) -> np.ndarray:
+    def channels(self, key: str, *default: Any) -> np.ndarray:
         """One number, or one for each channel."""
         return self.numbers(key, [(), (3,)], *default)
 
-    def numbers(self, key: str, shapes: list[tuple[int, ...]], *default) -> np.ndarray:
+    def numbers(self, key: str, shapes: list[tuple[int, ...]], *default: Any) -> np.ndarray:
         """Numbers of one of several shapes, finite."""
         value = self.get(key, *default)
         try:
@@ -132,7 +133,7 @@ class Table:
             raise InputError(f"{self.where}: '{key}' must not be negative")
         return value
 
-    def finish(self):
+    def finish(self) -> None:
         """Refuses what nobody asked for."""
         for key in self._content:
             if key not in self._asked:

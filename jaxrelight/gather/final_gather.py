@@ -36,7 +36,7 @@ Near = Literal["disc", "clamp"]
 _CLAMP = 0.1 * np.pi
 
 # Receivers whose rows are made at once, so that they stay in cache.
-_TOGETHER = 4
+_RECEIVER_BATCH = 4
 
 
 class _Level(NamedTuple):
@@ -296,7 +296,7 @@ def _received(
     def row(receiver):
         position, frame, own, visible = receiver
         one = eqx.combine(own, shared)
-        away = sources.positions - position
+        away = sources.positions - position[None]
         omega_i = safe.normalize(away)
         local = jnp.matmul(frame, omega_i.T, precision="highest")
         square = jnp.sum(away**2, axis=1)
@@ -307,9 +307,9 @@ def _received(
             share /= jnp.maximum(jnp.sum(share * sources.counts) / np.pi, 1)
         else:
             share = jnp.where(visible, jnp.minimum(areas / jnp.maximum(square, 1e-20), _CLAMP), 0)
-        return jax.vmap(one.light_side, in_axes=1, out_axes=2)(local) * share
+        return jax.vmap(one.light_side, in_axes=1, out_axes=2)(local) * share[None, None]
 
-    return jax.lax.map(row, (positions, frames, own, visible), batch_size=_TOGETHER)
+    return jax.lax.map(row, (positions, frames, own, visible), batch_size=_RECEIVER_BATCH)
 
 
 @eqx.filter_jit
@@ -318,6 +318,6 @@ def _largest_shares(
 ) -> tuple[Float[Array, " l"], Float[Array, "m k c 1"]]:
     """Of every source the largest share that it has of a row, as if all were seen; and the sums of rows."""
     seen = jnp.ones((len(positions), len(sources.areas)), bool)
-    values = _received(positions, frames, reflection, sources, seen, near) * sources.counts
+    values = _received(positions, frames, reflection, sources, seen, near) * sources.counts[None, None, None]
     whole = jnp.sum(values, axis=3, keepdims=True) if whole is None else whole
     return jnp.max(values / jnp.maximum(whole, 1e-30), axis=(0, 1, 2)), whole

@@ -10,7 +10,7 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 
 # Rays that are traced at once.
-_AT_ONCE = 2**18
+_RAY_CHUNK = 2**18
 
 # The albedo of points by face, barycentric weights, and whether it is the back.
 AlbedoAt = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, "p 3"]]
@@ -56,8 +56,8 @@ def shoot(
     """
     random = np.random.default_rng(seed)
     found = []
-    for start in range(0, len(positions) * each, _AT_ONCE):
-        origin = np.arange(start, min(start + _AT_ONCE, len(positions) * each)) // each
+    for start in range(0, len(positions) * each, _RAY_CHUNK):
+        origin = np.arange(start, min(start + _RAY_CHUNK, len(positions) * each)) // each
         where, normal, power = positions[origin], face_normals[origin], np.ones((len(origin), 3))
         landed = 0
         while len(origin) and (length is None or landed < length):

@@ -24,14 +24,14 @@ class Camera:
         height: rows.
     """
 
-    origin: Sequence[float]
-    target: Sequence[float]
-    up: Sequence[float] = (0.0, 1.0, 0.0)
+    origin: Sequence[float] | np.ndarray
+    target: Sequence[float] | np.ndarray
+    up: Sequence[float] | np.ndarray = (0.0, 1.0, 0.0)
     fov_y: float = 38.0
     width: int = 512
     height: int = 512
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         vectors = [np.asarray(vector, float) for vector in (self.origin, self.target, self.up)]
         finite = np.isfinite(self.fov_y) and all(np.isfinite(vector).all() for vector in vectors)
         if not finite or any(vector.shape != (3,) for vector in vectors):

@@ -14,7 +14,7 @@ from jaxrelight.numerics.threads import in_parts
 # Of a face seen nearly edge on, which covers no more of a texture than this says.
 _LEAST_COSINE = 1e-3
 # Pixels of a part.
-_EACH = 16384
+_PIXEL_CHUNK = 16384
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,7 @@ def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer
     def band(rows: slice) -> GBuffer:
         return trace_points(surfaces, tracer, origin, directions[rows], solid_angles[rows])
 
-    bands = in_parts(band, camera.height, -(-_EACH // camera.width))
+    bands = in_parts(band, camera.height, -(-_PIXEL_CHUNK // camera.width))
     if len(bands) == 1:
         return bands[0]
     names = [field.name for field in dataclasses.fields(GBuffer)]

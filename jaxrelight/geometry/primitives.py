@@ -10,11 +10,14 @@ from jaxtyping import Int
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.repair import LARGEST_COORDINATE
+from jaxrelight.numerics.numbers import Number
 
 MOST_QUADS = 2**24  # more is a slip of the pen: 800 MB a plane
 
 
-def plane(size: Sequence[float] | np.ndarray = (1.0, 1.0), resolution: int | Sequence[int] | np.ndarray = 64) -> Mesh:
+def plane(
+    size: Sequence[float] | np.ndarray = (1.0, 1.0), resolution: int | np.integer | Sequence[int] | np.ndarray = 64
+) -> Mesh:
     """A rectangle in y = 0 that faces +y, centred at the origin; an image lies on it with its top towards −z.
 
     Args:
@@ -32,7 +35,7 @@ def plane(size: Sequence[float] | np.ndarray = (1.0, 1.0), resolution: int | Seq
     return Mesh(vertices, faces, np.tile([0.0, 1.0, 0.0], (len(vertices), 1)), uv=uv)
 
 
-def sphere(radius: float = 0.5, resolution: int = 64) -> Mesh:
+def sphere(radius: Number = 0.5, resolution: int | np.integer = 64) -> Mesh:
     """A sphere around the origin: a cube's sides, divided by equal angles and pushed out.
 
     All 6 n² + 2 vertices lie on the sphere with exact normals, and triangles' areas differ by a factor of √2 at most.
@@ -53,7 +56,7 @@ def sphere(radius: float = 0.5, resolution: int = 64) -> Mesh:
     return Mesh(radius * normals, same.reshape(-1)[faces], normals)
 
 
-def box(size: Sequence[float] | np.ndarray = (1.0, 1.0, 1.0), resolution: int = 16) -> Mesh:
+def box(size: Sequence[float] | np.ndarray = (1.0, 1.0, 1.0), resolution: int | np.integer = 16) -> Mesh:
     """A box around the origin, flat shaded: each side has its own vertices and shows a whole image.
 
     Args:
@@ -98,7 +101,7 @@ def _cube(n: int) -> tuple[Int[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     return np.concatenate(sides), np.concatenate([faces + k * len(u) for k in range(6)])
 
 
-def _lengths(shape: str, size: Sequence[float] | np.ndarray, count: int) -> list[float]:
+def _lengths(shape: str, size: Sequence[Number] | np.ndarray, count: int) -> list[float]:
     try:
         lengths = [float(length) for length in size]
     except (TypeError, ValueError):
@@ -109,7 +112,9 @@ def _lengths(shape: str, size: Sequence[float] | np.ndarray, count: int) -> list
     return lengths
 
 
-def _resolution(shape: str, resolution: int | Sequence[int] | np.ndarray, count: int, sides: int = 1) -> list[int]:
+def _resolution(
+    shape: str, resolution: int | np.integer | Sequence[int] | np.ndarray, count: int, sides: int = 1
+) -> list[int]:
     try:
         given = list(resolution) if isinstance(resolution, Sequence | np.ndarray) else [resolution] * count
         quads = [operator.index(number) for number in given]

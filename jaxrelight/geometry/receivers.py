@@ -54,7 +54,7 @@ class Receivers:
         """Receivers, copies not counted."""
         return len(self.slot_of)
 
-    def groups_of(self, material: int) -> Int[np.ndarray, " g"]:
+    def groups_of(self, material: int | np.integer) -> Int[np.ndarray, " g"]:
         """The groups of a material, which follow each other."""
         return np.flatnonzero(self.material_of_group == material)
 

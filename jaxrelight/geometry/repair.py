@@ -180,7 +180,7 @@ def _faces_inward(
         return False
     corners = vertices[faces] - vertices.mean(axis=0)
     volume = (area_vectors(corners) * corners[:, 0]).sum() / 6
-    return volume < -1e-9 * np.prod(np.ptp(vertices, axis=0))
+    return bool(volume < -1e-9 * np.prod(np.ptp(vertices, axis=0)))
 
 
 def _angle_weighted(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:

@@ -5,8 +5,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Real
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
@@ -38,7 +37,7 @@ class Surfaces:
     centre: Float[np.ndarray, "3"]
     radius: float
 
-    def to_scene(self, world: npt.ArrayLike) -> Float[np.ndarray, "... 3"]:
+    def to_scene(self, world: Sequence[float] | Real[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
         """Positions in scene space of world positions."""
         return (np.asarray(world, float) - self.centre) / self.radius
 

@@ -4,7 +4,7 @@ import functools
 import hashlib
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Real
 
 from jaxrelight.geometry.surfaces import Surfaces
 
@@ -41,7 +41,7 @@ class Tracer:
         return hash(self.key)
 
     def occluded(
-        self, origins: Float[np.ndarray, "*r 3"], directions: Float[np.ndarray, "r 3"]
+        self, origins: Real[np.ndarray, "*r 3"], directions: Real[np.ndarray, "r 3"]
     ) -> Bool[np.ndarray, " r"]:
         """Whether anything is hit along each ray, at any distance. Lift origins by `OFFSET` first.
 
@@ -64,7 +64,7 @@ class Tracer:
         return np.where(found < 1e30, found, np.inf)
 
     def first_hits(
-        self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]
+        self, origins: Real[np.ndarray, "*r 3"], directions: Real[np.ndarray, "r 3"]
     ) -> tuple[Int[np.ndarray, " r"], Float[np.ndarray, "r 3"]]:
         """The nearest face along each ray, −1 for none, and the barycentric weights of its corners."""
         hit = self._query(origins, directions, "INTERSECT", output=1)

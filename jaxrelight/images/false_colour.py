@@ -1,7 +1,7 @@
 """Numbers as colours, for maps of what is not light."""
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrelight.images.tone import srgb_decode
 
@@ -10,7 +10,7 @@ _RAMP = np.array([[0.03, 0.03, 0.12], [0.28, 0.11, 0.50], [0.73, 0.22, 0.42], [0
 
 
 def false_colour(
-    values: Float[np.ndarray, "h w"], shown: Bool[np.ndarray, "h w"], *, octaves: bool = False
+    values: Float[np.ndarray, "h w"], shown: Bool[Array | np.ndarray, "h w"], *, octaves: bool = False
 ) -> tuple[Float[np.ndarray, "h w 4"], tuple[float, float]]:
     """An image with coverage, and what its darkest and lightest colours stand for.
 

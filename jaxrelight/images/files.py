@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxrelight.errors import InputError
 from jaxrelight.files.whole_file import check_place, write_whole
@@ -57,7 +58,7 @@ def read_image(path: str | os.PathLike, max_pixels: int = 2**27) -> np.ndarray:
     raise InputError(f"{path}: unknown kind of image {suffix!r}; use one of {_READABLE}")
 
 
-def write_image(path: str | os.PathLike, pixels, exposure: float = 0.0, *, alpha: bool = False) -> None:
+def write_image(path: str | os.PathLike, pixels: ArrayLike, exposure: float = 0.0, *, alpha: bool = False) -> None:
     """Write linear Rec.709 pixels in the format that the extension names.
 
     The file appears whole or not at all: it is written beside its place and then moved there.
@@ -87,7 +88,7 @@ def write_image(path: str | os.PathLike, pixels, exposure: float = 0.0, *, alpha
         raise InputError(f"{path}: cannot write an image of kind {suffix!r}; use one of {', '.join(_WRITABLE)}")
 
 
-def write_layers(path: str | os.PathLike, pixels, layers: Mapping[str, np.ndarray]) -> None:
+def write_layers(path: str | os.PathLike, pixels: ArrayLike, layers: Mapping[str, np.ndarray]) -> None:
     """Write an EXR of a picture and of layers `[h, w, 3]` beside it, whose channels are called `name.R` and so on.
 
     Raises:

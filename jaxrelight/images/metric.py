@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxrelight.errors import InputError
 
@@ -21,11 +22,11 @@ class ImageError:
     untrimmed: float
     mean_ratio: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"relative L2 {self.trimmed:.4f} trimmed, {self.untrimmed:.4f} in all; mean ratio {self.mean_ratio:.4f}"
 
 
-def image_error(ours, reference, alpha_above: float = 0.999, trim: float = 0.05) -> ImageError:
+def image_error(ours: ArrayLike, reference: ArrayLike, alpha_above: float = 0.999, trim: float = 0.05) -> ImageError:
     """Compare RGB over the pixels that the reference covers: ‖ours − reference‖ / ‖reference‖.
 
     The trimmed figure leaves a fraction `trim` of the pixels, those with the largest |ours − reference|, out of both

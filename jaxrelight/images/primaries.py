@@ -1,5 +1,7 @@
 """Colours of other primaries as linear Rec.709."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 # CIE 1931 x and y of red, green, blue and white.
@@ -10,7 +12,7 @@ _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0
 _SAME = 0.01  # primaries are often written with two digits, and white points of one standard differ by less
 
 
-def to_rec709(chromaticities) -> np.ndarray | None:
+def to_rec709(chromaticities: Sequence[float] | np.ndarray) -> np.ndarray | None:
     """The matrix `[3, 3]` that takes linear colours of the given primaries to linear Rec.709, white to white.
 
     White points are adapted by Bradford's transform, so (1, 1, 1) stays (1, 1, 1).

@@ -1,25 +1,26 @@
 """From linear radiance to what a screen shows: exposure, clamp, sRGB (IEC 61966-2-1)."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxrelight.errors import InputError
 
 
-def srgb_encode(linear):
+def srgb_encode(linear: ArrayLike) -> np.ndarray:
     """Encode linear values in [0, 1] with the sRGB transfer curve; outside that range the curve is continued."""
     linear = np.asarray(linear)
     curved = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     return np.where(linear <= 0.0031308, 12.92 * linear, curved)
 
 
-def srgb_decode(encoded):
+def srgb_decode(encoded: ArrayLike) -> np.ndarray:
     """Invert `srgb_encode`."""
     encoded = np.asarray(encoded)
     curved = ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4
     return np.where(encoded <= 0.04045, encoded / 12.92, curved)
 
 
-def tone_map(pixels, exposure: float = 0.0) -> np.ndarray:
+def tone_map(pixels: ArrayLike, exposure: float = 0.0) -> np.ndarray:
     """Turn radiance into 8-bit sRGB: scale by 2^exposure, clamp to [0, 1], encode, round.
 
     Args:

@@ -1,13 +1,14 @@
 """Direct light of local lights, by every BRDF, at every pixel."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
@@ -59,7 +60,13 @@ def shade_lights(
     return surfaces.image(rows)
 
 
-def at_texel(brdf, uv: Float[Array, "2"], footprint: Float[Array, ""], texels: Texels, reflected):
+def at_texel(
+    brdf: Brdf | PackedLobes,
+    uv: Float[Array, "2"],
+    footprint: Float[Array, ""],
+    texels: Texels,
+    reflected: Callable[[Brdf], Float[Array, " c"]],
+) -> Float[Array, " c"]:
     """What is reflected, by a function of a BRDF, at texture coordinates."""
     if not isinstance(brdf, PackedLobes):
         return reflected(brdf)

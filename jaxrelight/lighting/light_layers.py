@@ -31,7 +31,7 @@ class LightLayers:
         self.lights = list(lights)
         self.pictures = jnp.stack([self._alone(light) for light in lights]) if lights else self.emitted[None][:0]
 
-    def move(self, number: int, light: Light):
+    def move(self, number: int, light: Light) -> None:
         """Puts another light in the place of one.
 
         Raises:

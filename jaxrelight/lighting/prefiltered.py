@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.brdf.horizon import cut
+from jaxrelight.brdf.horizon import clip_lobe
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
@@ -186,7 +186,7 @@ def prefiltered_radiance(
     peak, length = lobes.peak(omega_o)
     exponent = lobes.exponent
     if horizon == "cut":
-        share, peak, sharpness = cut(peak, exponent)
+        share, peak, sharpness = clip_lobe(peak, exponent)
     else:
         share, sharpness = jnp.maximum(peak[..., 2], 0), exponent
     mean = jax.vmap(jax.vmap(maps.look_up))(peak @ frame, sharpness)  # [l, c1, channels]

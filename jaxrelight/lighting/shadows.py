@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from jaxrelight.errors import InputError
@@ -95,7 +96,7 @@ class LightGroup(eqx.Module):
 
 
 # The visibility of each group's lights from each point, packed into bits.
-Visibility = tuple[UInt8[Array, "n b"], ...]
+Visibility = tuple[UInt8[Array, "_ _"], ...]
 
 
 def group_lights(lights: Sequence[Light]) -> tuple[LightGroup, ...]:
@@ -166,7 +167,7 @@ def trace_visibility(points: SurfacePoints, groups: Sequence[LightGroup]) -> Vis
     return jax.pure_callback(on_host, shapes, *arguments, vmap_method="sequential")
 
 
-def unpacked(bits: UInt8[Array, " b"], start: Int[Array, ""], count: int, dtype) -> Float[Array, " p"]:
+def unpacked(bits: UInt8[Array, " b"], start: Int[Array, ""], count: int, dtype: DTypeLike) -> Float[Array, " p"]:
     """Visibility of some points by a light, 1 or 0."""
     return jax.lax.dynamic_slice_in_dim(jnp.unpackbits(bits), start, count).astype(dtype)
 
@@ -251,7 +252,7 @@ class _Remembered:
             self.bits.move_to_end(key)
         return self.bits.get(key)
 
-    def put(self, key: bytes, bits: np.ndarray):
+    def put(self, key: bytes, bits: np.ndarray) -> None:
         """Remembers, and forgets the oldest where there is too much."""
         self.bits[key] = bits
         self.held += len(bits) + _ENTRY_BYTES

@@ -20,7 +20,7 @@ from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Receivers whose terms are made at a time.
-_TOGETHER = 1024
+_RECEIVER_BATCH = 1024
 
 
 def sun_terms(
@@ -33,7 +33,7 @@ def sun_terms(
 
     Args:
         transport: whose receivers are lit.
-        texels: numbers of `MOST` texels of its cube map.
+        texels: numbers of `MAX_TEXELS` texels of its cube map.
         radiance: theirs; 0 for texels that no sun is in.
     """
     assert isinstance(transport.method, Transport)
@@ -133,4 +133,4 @@ def _terms(
         arriving = (jnp.maximum(local[2], 0) * visible)[:, None] * energy
         return jnp.sum(light_side * arriving[:, None], axis=0)
 
-    return jax.lax.map(receiver, (normals, tangents, visible, own), batch_size=_TOGETHER)
+    return jax.lax.map(receiver, (normals, tangents, visible, own), batch_size=_RECEIVER_BATCH)

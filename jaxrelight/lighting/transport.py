@@ -36,16 +36,15 @@ from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
-from jaxrelight.operators.algebra import Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import Operator, Summed, parts_of
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
-LightTerms = tuple[Float[Array, "*n v k c"], ...]
+LightTerms = tuple[Float[Array, "*n _ _ _"], ...]
 
 
 class Corners(eqx.Module):
@@ -337,14 +336,16 @@ def _terms(operator: Operator, light: Float[Array, "*n d c"], block: Block) -> F
     return _product(operator, light, receivers, block.reflection.terms)
 
 
-def _with_emitted(terms: Float[Array, "v k c"], block: Block) -> Float[Array, "v k c"]:
+def _with_emitted(terms: Float[Array, "*n v k c"], block: Block) -> Float[Array, "*n v k c"]:
     """Light terms of the sky, and of what surfaces emit."""
     return terms if block.emitted is None else _padded_sum(terms, block.emitted)
 
 
 @jax.jit
 def _padded_sum(terms, emitted):
-    return terms + jnp.pad(emitted, ((0, terms.shape[-3] - len(emitted)), (0, 0), (0, 0)))
+    emitted = jnp.pad(emitted, ((0, terms.shape[-3] - len(emitted)), (0, 0), (0, 0)))
+    # Of one light or of many.
+    return terms + jnp.broadcast_to(emitted, terms.shape)
 
 
 def _product(operator: Operator, light: Float[Array, "*n d c"], receivers: int, terms: int) -> Float[Array, "*n v k c"]:

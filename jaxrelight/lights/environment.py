@@ -13,6 +13,7 @@ from jaxrelight.basis import latlong
 from jaxrelight.errors import InputError
 from jaxrelight.lights.layouts import faces_of
 from jaxrelight.numerics.arrays import as_array, on_host
+from jaxrelight.operators.contract import Basis
 
 
 class _Unseen:
@@ -180,7 +181,7 @@ def encode(
     rotate_y: Float[Array, ""],
     scale: Float[Array, ""],
     resampling: latlong.AreaResampling,
-    basis,
+    basis: Basis,
 ) -> Float[Array, "d c"]:
     """The light vector of a map: rotation → cube map → basis (Wang 2006 §4.3). Pure, differentiable in all numbers."""
     texels = resampling.apply(latlong.rotate(pixels, rotate_y))

@@ -96,7 +96,7 @@ class Spot(Punctual):
         axis = safe.normalize(self.target - self.position)
         along = -jnp.matmul(found.omega_i, axis, precision="highest")
         # At the light itself there is no direction.
-        along, across = jnp.where(found.distance > 0, along, 1), safe.norm(found.omega_i + along[:, None] * axis)
+        along, across = jnp.where(found.distance > 0, along, 1), safe.norm(found.omega_i + along[:, None] * axis[None])
         angle = jnp.degrees(jnp.arctan2(across, along))
         width = self.cutoff - self.beam
         soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
@@ -107,8 +107,8 @@ class Spot(Punctual):
 class Directional(Punctual):
     """Parallel light that travels along `direction`, with an irradiance on a surface across it."""
 
-    direction: Float[Array, "3"]
-    irradiance: Float[Array, "3"]
+    direction: Float[Array, "*l 3"]
+    irradiance: Float[Array, "*l 3"]
 
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
@@ -186,11 +186,12 @@ def from_point(
     place: Float[Array, "3"], intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]
 ) -> Incident:
     """Light of one intensity in all directions: it falls off with the square of the distance."""
-    towards = place - positions
+    towards = place[None] - positions
     distance = safe.norm(towards)
     # At the light itself the square would be infinite.
     square = jnp.maximum(distance, 1e-6) ** 2
     omega_i = towards / jnp.where(distance > 0, distance, 1)[:, None]
+    intensity = jnp.expand_dims(intensity, 0) if jnp.ndim(intensity) else intensity
     return Incident(omega_i, distance, jnp.broadcast_to(intensity / square[:, None], positions.shape))
 
 

@@ -89,7 +89,7 @@ def check_frame(
     position: Float[Array | np.ndarray, "3"],
     target: Float[Array | np.ndarray, "3"],
     up: Float[Array | np.ndarray, "3"],
-):
+) -> None:
     """Refuses a light that does not know where it looks, or which way is up, as far as that is known.
 
     Raises:

@@ -17,7 +17,7 @@ from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Number, Numbers, Vector, as_numbers, float_dtype, holds, module_of, shown
 
 # Two distances.
-Pair = Float[Array | np.ndarray, "2"] | Sequence[float | Array]
+Pair = Float[Array | np.ndarray, "2"] | Sequence[Number]
 
 
 class Shaped(Punctual):
@@ -64,11 +64,11 @@ class Shaped(Punctual):
         share = jnp.where(in_front, 1 - _smooth(edge), 0)
         share *= _smooth(_between(found.distance, self.near)) * (1 - _smooth(_between(found.distance, self.far)))
         fallen = safe.power(self.reference / jnp.maximum(found.distance, 1e-6), self.falloff) / self.reference**2
-        return found._replace(irradiance=self.intensity * (share * fallen)[:, None], within=share > 0)
+        return found._replace(irradiance=self.intensity[None] * (share * fallen)[:, None], within=share > 0)
 
     def _reach(self, place: Float[Array, "p 2"], angles: Float[Array, "2"]) -> Float[Array, " p"]:
         exponent = 2 / jnp.maximum(self.roundness, 0.05)
-        sums = jnp.sum(safe.power(place / jnp.tan(jnp.radians(angles)), exponent), axis=1)
+        sums = jnp.sum(safe.power(place / jnp.tan(jnp.radians(angles))[None], exponent), axis=1)
         return safe.power(sums, 1 / exponent)
 
 
@@ -152,11 +152,11 @@ def shaped(
     return Shaped(*(as_array(each, dtype) for each in (*placed, emitted, *numbers)))
 
 
-def _is_positive(numbers: np.ndarray) -> np.ndarray:
+def _is_positive(numbers: np.ndarray) -> np.ndarray | np.bool:
     return (numbers > 0) & (numbers < np.inf)
 
 
-def _is_one(value: Number, condition: Callable[[np.ndarray], np.ndarray]) -> bool:
+def _is_one(value: Number, condition: Callable[[np.ndarray], np.ndarray | np.bool]) -> bool:
     """Whether it is a single number, and meets a condition where it is known."""
     number = as_numbers(value)
     return number.ndim == 0 and holds(condition, number)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
@@ -17,6 +18,7 @@ from jaxrelight.geometry.morton import morton
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.local import Directional, Light, power
 from jaxrelight.numerics.arrays import as_array, is_traced
+from jaxrelight.numerics.numbers import Numbers
 
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
@@ -42,7 +44,7 @@ class Sky(Light):
         return [Directional(as_array(direction), as_array(light)) for direction, light in each]
 
 
-def even_sky(radiance, samples: int = 64) -> Sky:
+def even_sky(radiance: Numbers, samples: int = 64) -> Sky:
     """The same radiance from everywhere above the horizon: what it lights is ambient occlusion.
 
     Raises:
@@ -137,7 +139,7 @@ def nearest_directions(towards: Float[np.ndarray, "n 3"], height: int, width: in
 
 @functools.partial(jax.jit, static_argnames="count")
 def mean_radiance(
-    pixels: Float[Array, "h w c"], rotate_y, scale, nearest: Int[Array, "fh fw"], count: int
+    pixels: Float[Array, "h w c"], rotate_y: ArrayLike, scale: ArrayLike, nearest: Int[Array, "fh fw"], count: int
 ) -> Float[Array, "n c"]:
     """Of a map what each of n directions of equal solid angle stands for; all of its light is in one of them.
 

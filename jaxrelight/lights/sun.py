@@ -14,10 +14,10 @@ from jaxrelight.numerics.arrays import as_array, is_traced
 
 # The most texels, how many times as bright they are as the next one after them, and what share of the light's energy
 # they hold together, at least. Of eight photographed skies and rooms, those with a sun are split at any rotation.
-MOST, BRIGHTER, SHARE = 16, 4.0, 0.5
+MAX_TEXELS, BRIGHTER, SHARE = 16, 4.0, 0.5
 # Of a map's sun, radians between directions, as far as so many of them are enough; the coarsest cube map that it is
 # looked for in, and the one that maps are made coarse for.
-_APART, _MOST_DIRECTIONS, _COARSEST, _FINEST = 0.012, 64, 16, 64
+_APART, _MAX_DIRECTIONS, _COARSEST, _FINEST = 0.012, 64, 16, 64
 
 
 class Split(NamedTuple):
@@ -55,7 +55,7 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     largest = jnp.max(jnp.abs(known))
     scaled = known / jnp.where(largest > 0, largest, 1)
     energy = jnp.sum(jnp.square(scaled), axis=1)
-    top, index = jax.lax.top_k(energy, MOST + 1)
+    top, index = jax.lax.top_k(energy, MAX_TEXELS + 1)
     limit, top, index = top[-1], top[:-1], index[:-1]
     bright = (top > BRIGHTER**2 * limit) & (top > 0)
     is_sun = jnp.sum(jnp.where(bright, top, 0)) >= SHARE * jnp.sum(energy)
@@ -87,7 +87,7 @@ def without_sun(pixels: Float[Array | np.ndarray, "h w 3"]) -> tuple[Float[Array
             return as_array(pixels), Sky(*(as_array(x, pixels.dtype) for x in (directions, 0 * directions)))
         return _split(as_array(pixels), *map(as_array, taken))
     h, w = pixels.shape[:2]
-    shapes = (h, w), (h, w), (_MOST_DIRECTIONS, 3), (_MOST_DIRECTIONS,), (_MOST_DIRECTIONS,)
+    shapes = (h, w), (h, w), (_MAX_DIRECTIONS, 3), (_MAX_DIRECTIONS,), (_MAX_DIRECTIONS,)
     dtypes = pixels.dtype, np.int32, pixels.dtype, np.int32, pixels.dtype
     structure = tuple(jax.ShapeDtypeStruct(*one) for one in zip(shapes, dtypes, strict=True))
 
@@ -118,7 +118,7 @@ class _Taken(NamedTuple):
     @classmethod
     def nothing(cls, h: int, w: int) -> "_Taken":
         """Where there is no sun."""
-        n = _MOST_DIRECTIONS
+        n = _MAX_DIRECTIONS
         directions = np.tile([0.0, 1, 0], (n, 1))
         return cls(np.ones((h, w)), np.full((h, w), n), directions, np.zeros(n, int), np.zeros(n))
 
@@ -134,7 +134,7 @@ def _find_sun(pixels: Float[np.ndarray, "h w 3"]) -> _Taken | None:
         cell = cubemap.texel_of(towards, n)
         whole = np.maximum(np.bincount(cell, area, 6 * n * n), 1e-30)
         mean = np.stack([np.bincount(cell, area * one, 6 * n * n) for one in flat.T], axis=1) / whole[:, None]
-        split = _brightest(mean) if len(mean) > MOST else None
+        split = _brightest(mean) if len(mean) > MAX_TEXELS else None
         if split is not None:
             return _taken(pixels, *split, n)
         n //= 2
@@ -145,7 +145,7 @@ def _brightest(texels: Float[np.ndarray, "d c"]) -> tuple[Int[np.ndarray, " n"],
     """`split_sun` on the host: the texels of a sun, and the length of the brightest one's radiance that is left."""
     largest = np.abs(texels).max()
     energy = np.square(texels / (largest if largest > 0 else 1)).sum(axis=1)
-    order = np.argsort(-energy, kind="stable")[: MOST + 1]
+    order = np.argsort(-energy, kind="stable")[: MAX_TEXELS + 1]
     top, limit = energy[order[:-1]], energy[order[-1]]
     bright = (top > BRIGHTER**2 * limit) & (top > 0)
     if not bright.any() or top[bright].sum() < SHARE * energy.sum():
@@ -162,8 +162,8 @@ def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most:
     bright = np.isin(cell, lit) & (length > most)
     stays = np.where(bright, most / np.where(bright, length, 1), 1)
     taken = _Taken.nothing(h, w)
-    slot = np.full(len(flat), _MOST_DIRECTIONS)
-    if np.pi / h <= _APART or np.count_nonzero(bright) > _MOST_DIRECTIONS:
+    slot = np.full(len(flat), _MAX_DIRECTIONS)
+    if np.pi / h <= _APART or np.count_nonzero(bright) > _MAX_DIRECTIONS:
         # Cells are smaller than a sun, or hold many pixels: one direction each.
         energy = ((1 - stays) * area)[:, None] * flat
         cells = [one for one in lit if bright[cell == one].any()]
@@ -177,7 +177,7 @@ def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most:
     # Pixels are larger than a sun: several directions each, as far as there are enough.
     here = np.flatnonzero(bright)
     slot[here] = np.arange(len(here))
-    along = max(1, min(int(np.ceil(np.pi / h / _APART)), int(np.sqrt(_MOST_DIRECTIONS / max(len(here), 1)))))
+    along = max(1, min(int(np.ceil(np.pi / h / _APART)), int(np.sqrt(_MAX_DIRECTIONS / max(len(here), 1)))))
     u, v = latlong.coordinates(towards[here])
     step = (np.arange(along) + 0.5) / along - 0.5
     down, right = (x.ravel() for x in np.meshgrid(step, step, indexing="ij"))
@@ -196,7 +196,7 @@ def _split(pixels, stays, slot, directions, source, share) -> tuple[Float[Array,
     h, w, channels = pixels.shape
     area = jnp.asarray(latlong.solid_angles(h, w), pixels.dtype)[:, None, None]
     energy = (pixels * (1 - stays)[..., None] * area).reshape(-1, channels)
-    sums = jax.ops.segment_sum(energy, slot.reshape(-1), _MOST_DIRECTIONS)
+    sums = jax.ops.segment_sum(energy, slot.reshape(-1), _MAX_DIRECTIONS)
     irradiance = sums.at[source].get(mode="promise_in_bounds") * share[:, None]
     # A product, not a difference: exactly 0 is taken where all stays.
     return pixels * stays[..., None].astype(pixels.dtype), Sky(directions.astype(pixels.dtype), irradiance)

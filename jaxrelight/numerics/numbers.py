@@ -13,14 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Real
 
 # One number.
-Number = Float[Array | np.ndarray, ""] | float
+Number = Real[Array | np.ndarray, ""] | np.number | float
 # Three numbers.
-Vector = Float[Array | np.ndarray, "3"] | Sequence[float | Array]
+Vector = Real[Array | np.ndarray, "3"] | Sequence[Number]
 # A number, or an array or nested sequences of them, of the shapes that a docstring names.
-Numbers = Float[Array | np.ndarray, "..."] | float | Sequence[float | Array] | Sequence[Sequence[float | Array]]
+Numbers = Number | Real[Array | np.ndarray, "..."] | Sequence[Number] | Sequence[Sequence[Number]]
 
 
 def is_known(*values: Any) -> bool:

@@ -2,22 +2,26 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, Int, Real, UInt
 
 # As many as single precision tells apart in a run.
-MOST = 1 << 14
+MAX_POINTS = 1 << 14
 # (√5 − 1)/2 as a part of 2³².
 _GOLDEN = np.uint32(2654435769)
 
 
-def even_numbers(index: Int[Array, "*n"], count: Int[Array, "*n"], shift: UInt[Array, "*n 2"]) -> Float[Array, "*n 2"]:
-    """Numbers `index` of `count`: the first goes in equal steps, the second by the golden section of the circle.
+def vogel_points(
+    index: Int[Array, "*n"], count: Real[Array, ""] | int, rotation: UInt[Array, "2"]
+) -> Float[Array, "*n 2"]:
+    """Pairs `index` of `count`: the first number goes in equal steps, the second by the golden section of the circle.
 
     Where the first is a radius and the second an angle, they are a sunflower's seeds (Vogel 1979), each as far from
-    its neighbours as any. A shift turns the circle, and moves all the first ones within their steps.
+    its neighbours as any. A rotation, from `random_rotation`, turns the circle, and moves all the first ones within
+    their steps.
     """
-    along = (index.astype(jnp.float32) + _part_of_one(shift[..., 0])) / count.astype(jnp.float32)
-    around = _part_of_one(index.astype(jnp.uint32) * _GOLDEN + shift[..., 1])
+    along = (index.astype(jnp.float32) + _part_of_one(rotation[0])) / jnp.asarray(count, jnp.float32)
+    around = _part_of_one(index.astype(jnp.uint32) * _GOLDEN + rotation[1])
     return jnp.stack([jnp.minimum(along, 1 - 2.0**-24), around], axis=-1)
 
 
@@ -26,13 +30,13 @@ def _part_of_one(whole):
     return (whole >> 8).astype(jnp.float32) * 2.0**-24
 
 
-def shifts(of: Int[Array, "*n"], seed) -> UInt[Array, "*n 2"]:
+def random_rotation(of: Int[Array, "*n"], seed: ArrayLike) -> UInt[Array, "*n 2"]:
     """Two whole numbers for each of others: the same for the same seed, and as good as random."""
-    found = []
+    pair = []
     for k in (1, 2):
         x = of.astype(jnp.uint32) * np.uint32(0x9E3779B1) + jnp.asarray(seed).astype(jnp.uint32) * np.uint32(0x85EBCA77)
         x = x + np.uint32(k * 0x27D4EB2F & 0xFFFFFFFF)
         for multiplier in (0x7FEB352D, 0x846CA68B):
             x = (x ^ (x >> 16)) * np.uint32(multiplier)
-        found.append(x ^ (x >> 16))
-    return jnp.stack(found, axis=-1)
+        pair.append(x ^ (x >> 16))
+    return jnp.stack(pair, axis=-1)

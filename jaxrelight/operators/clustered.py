@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.linalg
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Integer
 
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.quantised import Quantised, decoded, decoded_type, quantised
@@ -20,7 +20,7 @@ from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type
 _FILLING = 2**16
 
 # Groups of a step of the product with many lights: what a step gathers should stay in cache.
-_TOGETHER = 4
+_GROUP_BATCH = 4
 # Terms of a sum that are written out, so that what is next to each other in memory is worked on at once: a sum over
 # neighbours would be made one by one, which takes eight times as long.
 _WRITTEN_OUT = 16
@@ -50,10 +50,10 @@ class Bucket(eqx.Module):
         weights: as in `Cluster`; quantised, each shared row has a scale in each channel.
     """
 
-    groups: Int[Array, " b"]
-    support: Int[Array, "b s"]
-    basis: Float[Array, "b q s"] | Quantised
-    weights: Float[Array, "b c q r"] | Quantised
+    groups: Int[Array, "*p b"]
+    support: Integer[Array, "*p b s"]
+    basis: Float[Array, "*p b q s"] | Quantised
+    weights: Float[Array, "*p b c q r"] | Quantised
 
 
 class Clustered(Operator):
@@ -74,9 +74,9 @@ class Clustered(Operator):
     """
 
     buckets: tuple[Bucket, ...]
-    place: Int[Array, " g"]
-    holders: tuple[Int[Array, "_ _"], ...]
-    column_place: Int[Array, " d"]
+    place: Int[Array, "*p g"]
+    holders: tuple[Int[Array, "*p _ _"], ...]
+    column_place: Int[Array, "*p d"]
     group_rows: int = eqx.field(static=True)
     channels: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
@@ -143,7 +143,7 @@ class Clustered(Operator):
         out = jnp.zeros((n, len(self.place), self.group_rows, channels), dtype)
         for part in self.buckets:
             b = len(part.groups)
-            few = min(_TOGETHER, b)
+            few = min(_GROUP_BATCH, b)
 
             def some(out, start, part=part, few=few):
                 chosen = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, few), part)
@@ -347,7 +347,7 @@ def _joined(members: dict[tuple[int, int], list[int]], width: int) -> dict[tuple
         if filling[one, two] > _FILLING:
             break
         groups = members.pop(sizes[one]) + members.pop(sizes[two])
-        members[max(s[one], s[two]), max(q[one], q[two])] += groups
+        members[int(max(s[one], s[two])), int(max(q[one], q[two]))] += groups
     return members
 
 

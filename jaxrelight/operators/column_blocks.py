@@ -15,7 +15,7 @@ from jaxrelight.operators.contract import check_light
 from jaxrelight.operators.quantised import Quantised, quantised
 
 # Blocks of a group that are added up at once: what is left over is filled up with blocks of nothing.
-_TOGETHER = 8
+_BLOCKS_PER_SUM = 8
 
 
 class ColumnBlocks:
@@ -80,13 +80,13 @@ class ColumnBlocks:
         """Blocks, a few of the same group in each line, of one of few numbers of lines; and the lines' groups."""
         groups = self.shape[0] * self.shape[2] // self._tiles.codes.shape[1]
         counts = np.bincount(self._group[chosen], minlength=groups)
-        lines = -(-counts // _TOGETHER)
+        lines = -(-counts // _BLOCKS_PER_SUM)
         total = bucket(max(int(lines.sum()), 1), 256)
-        few = np.full((total, _TOGETHER), self.count)
+        few = np.full((total, _BLOCKS_PER_SUM), self.count)
         first_line, first = np.cumsum(lines) - lines, np.cumsum(counts) - counts
         own = self._group[chosen]
         nth = np.arange(len(chosen)) - first[own]
-        few[first_line[own] + nth // _TOGETHER, nth % _TOGETHER] = chosen
+        few[first_line[own] + nth // _BLOCKS_PER_SUM, nth % _BLOCKS_PER_SUM] = chosen
         group = np.full(total, groups - 1)
         group[: lines.sum()] = np.repeat(np.arange(groups), lines)
         return few.astype(np.int32), group.astype(np.int32)

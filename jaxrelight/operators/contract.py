@@ -173,7 +173,7 @@ class Summed(Operator):
 
     operators: tuple[Operator, ...]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         first = self.operators[0].shape
         for operator in self.operators[1:]:
             if operator.shape[:2] != first[:2]:
@@ -218,7 +218,7 @@ class Composed(Operator):
     outer: Operator
     inner: Operator
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.outer.shape[1] != self.inner.shape[0]:
             raise ValueError(f"operators of shapes {self.outer.shape} and {self.inner.shape} cannot be composed")
         check_channels("composed", (self.outer, self.inner))
@@ -267,7 +267,7 @@ class Scaled(Operator):
         converter=lambda factor: jnp.asarray(factor) if isinstance(factor, int | float) else as_array(factor)
     )
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         channels, shape = self.operator.shape[2], self.factor.shape
         if len(shape) > 1 or (shape and shape[0] != channels and 1 not in (channels, *shape)):
             raise ValueError(f"a factor of shape {shape} cannot scale an operator of shape {self.operator.shape}")
@@ -284,16 +284,20 @@ class Scaled(Operator):
         return self.operator.nbytes + self.factor.nbytes
 
     def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-        return self.factor * self.operator.apply(light)
+        return self._along(0) * self.operator.apply(light)
 
     def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        return self.factor * self.operator.apply_many(lights)
+        return self._along(0, 1) * self.operator.apply_many(lights)
 
     def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        return self.factor * self.operator.transpose(radiance)
+        return self._along(0) * self.operator.transpose(radiance)
 
     def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        return self.factor[..., None] * self.operator.rows(indices)
+        return self._along(0, 2) * self.operator.rows(indices)
+
+    def _along(self, *others: int) -> Array:
+        """The factor, with axes of length one beside its channels; a single number as it is."""
+        return jnp.expand_dims(self.factor, others) if self.factor.ndim else self.factor
 
 
 class InBasis(Operator):
@@ -306,7 +310,7 @@ class InBasis(Operator):
     operator: Operator
     basis: Basis
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         if self.basis.size != self.operator.shape[1]:
             raise ValueError(f"a basis of {self.basis.size} does not fit an operator of shape {self.operator.shape}")
 

@@ -1,6 +1,6 @@
 """Linear maps between arrays as operators of lineax, whose transposes are the maps' own."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 
+@runtime_checkable
 class LinearMap(Protocol):
     """What is needed of a map from [d, c] to [r, c] that acts on every channel by itself: a pytree, with these."""
 

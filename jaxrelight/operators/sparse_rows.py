@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, Integer
 
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.quantised import Quantised, decoded, decoded_type
@@ -37,8 +37,8 @@ class SparseRows(Operator):
         columns: d, the number of light coefficients.
     """
 
-    indices: Int[Array, "b m n"]
-    values: tuple[Float[Array, "b m n"] | Quantised, ...]
+    indices: Integer[Array, "*p b m n"]
+    values: tuple[Float[Array, "*p b m n"] | Quantised, ...]
     row_count: int = eqx.field(static=True)
     columns: int = eqx.field(static=True)
 
@@ -132,7 +132,7 @@ def _sum(products: Float[Array, "m n"]) -> Float[Array, " m"]:
 
 
 def sparse_rows(
-    indices: Int[Array | np.ndarray, "r n"],
+    indices: Integer[Array | np.ndarray, "r n"],
     values: Float[Array | np.ndarray, "r c n"] | Quantised,
     columns: int,
     held: int = 0,
@@ -157,7 +157,7 @@ def sparse_rows(
 
 def _blocks(
     xp: Any,
-    indices: Int[Array | np.ndarray, "r n"],
+    indices: Integer[Array | np.ndarray, "r n"],
     values: Float[Array | np.ndarray, "r c n"] | Quantised,
     b: int,
     m: int,
@@ -174,7 +174,7 @@ def _blocks(
 
 @functools.partial(jax.jit, static_argnames=("b", "m", "columns"))
 def _compiled_blocks(
-    indices: Int[Array, "r n"], values: Float[Array, "r c n"] | Quantised, b: int, m: int, columns: int
+    indices: Integer[Array, "r n"], values: Float[Array, "r c n"] | Quantised, b: int, m: int, columns: int
 ) -> Blocks:
     return _blocks(jnp, indices, values, b, m, columns)
 

@@ -16,7 +16,7 @@ class Stacked(Operator):
 
     operators: tuple[Operator, ...]
 
-    def __check_init__(self):
+    def __check_init__(self) -> None:
         first = self.operators[0].shape
         for operator in self.operators[1:]:
             if operator.shape[1] != first[1]:

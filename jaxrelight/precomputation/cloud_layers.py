@@ -18,7 +18,7 @@ from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.layer_files import made_once, write_lights, write_once
-from jaxrelight.precomputation.layers import Made
+from jaxrelight.precomputation.layers import BuiltLayers
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.placing import place
 from jaxrelight.precomputation.surface_albedo import SurfaceAlbedo
@@ -30,7 +30,7 @@ from jaxrelight.transport.compression import of_cloud
 
 def make_indirect(
     scene: Scene, method: Indirect, folder: str | pathlib.Path | None, report: Report, seconds: dict[str, float]
-) -> Made:
+) -> BuiltLayers:
     """Makes, or completes, all layers of a scene's pixels and its cloud; see `precompute`.
 
     Args:
@@ -99,4 +99,4 @@ def make_indirect(
     layers = {"cloud": f"cloud-{cloud_key}", "albedo": f"albedo-{albedo_key}", "between": between}
     header = here.header(materials, write_lights(folder, scene.lights.local), **layers)
     rays = gather.rays + (others.rays if others is not gather else 0)
-    return Made(folder, header, geometry, rays, ())
+    return BuiltLayers(folder, header, geometry, rays, ())

@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import pathlib
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +14,7 @@ from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.factors import COSINE, factor
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.spatial_factors import Left, SpatialFactors, factor_spatial
+from jaxrelight.brdf.spatial_factors import FactorResidual, SpatialFactors, factor_spatial
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
@@ -25,7 +26,7 @@ from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.load import read_factors, read_spatial_factors
 
 
-def make_folder(folder: pathlib.Path):
+def make_folder(folder: pathlib.Path) -> None:
     """Makes the folder of a store, if it is not there.
 
     Raises:
@@ -110,7 +111,7 @@ def write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 
 def factors_of(
     folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, method: Transport | Indirect
-) -> tuple[Factored | SpatialFactors | None, str | None, Left | None]:
+) -> tuple[Factored | SpatialFactors | None, str | None, FactorResidual | None]:
     """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
 
     None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the method says.
@@ -125,7 +126,7 @@ def factors_of(
     with contextlib.suppress(InputError):
         layer = store.open_layer(path)
         if spatial:
-            return read_spatial_factors(layer), path.name, Left(*layer.read("left", 0).tolist())
+            return read_spatial_factors(layer), path.name, FactorResidual(*layer.read("left", 0).tolist())
         return read_factors(layer), path.name, None
     # Missing or damaged.
     if spatial:
@@ -139,6 +140,6 @@ def factors_of(
     return factors, path.name, None
 
 
-def plain(value):
+def plain(value: Any) -> Any:
     """Numbers as JSON knows them."""
     return jax.tree.map(lambda x: x.item() if isinstance(x, np.generic) else x, value)

@@ -29,7 +29,7 @@ from jaxrelight.transport.visibility import trace_visibility
 
 
 @dataclasses.dataclass(frozen=True)
-class Made:
+class BuiltLayers:
     """The layers of one set of receivers.
 
     Attributes:
@@ -54,7 +54,7 @@ def make_layers(
     report: Report,
     seconds: dict[str, float],
     gather: Gather | None = None,
-) -> Made:
+) -> BuiltLayers:
     """Makes, or completes, all layers of a scene's receivers; see `precompute`.
 
     Args:
@@ -103,10 +103,10 @@ def make_layers(
             "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
         )
     header = here.header(materials, write_lights(folder, scene.lights.local), visibility=visibility.folder.name)
-    return Made(folder, header, here.geometry, rays, tuple(notes))
+    return BuiltLayers(folder, header, here.geometry, rays, tuple(notes))
 
 
-def check_terms_of(scene: Scene, name: str, method: Transport):
+def check_terms_of(scene: Scene, name: str, method: Transport) -> None:
     """Refuses a number of factors that cannot be had, before any ray."""
     brdfs = [part.brdf for part in as_material(scene.materials[name]).components]
     factored = any(not brdf.is_constant and not isinstance(brdf, Separable) for brdf in brdfs)
@@ -120,7 +120,7 @@ def check_terms_of(scene: Scene, name: str, method: Transport):
 def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, directions, report: Report) -> int:
     rays = []
 
-    def trace(group: int):
+    def trace(group: int) -> None:
         arrays = receivers.positions[group], receivers.normals[group], receivers.face_normals[group]
         bits, count = trace_visibility(tracer, *arrays, directions)
         layer.write(group, bits=bits)

@@ -30,8 +30,7 @@ from jaxrelight.lights.local import Light
 from jaxrelight.lights.record import from_records
 from jaxrelight.methods import METHODS, Indirect, Transport
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.operators.algebra import InBasis, Summed
-from jaxrelight.operators.contract import Basis, Operator
+from jaxrelight.operators.contract import Basis, InBasis, Operator, Summed
 from jaxrelight.transport.compression import Opened, compression, of_cloud, shared
 from jaxrelight.transport.model import (
     Block,

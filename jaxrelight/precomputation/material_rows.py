@@ -3,7 +3,7 @@
 import dataclasses
 import pathlib
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -21,6 +21,7 @@ from jaxrelight.transport.compression import Clusters, Rows, bake_compressed, co
 from jaxrelight.transport.model import frames_of
 
 
+@runtime_checkable
 class Gathers(Protocol):
     """What gathers rows: `bounce.Gather`, `final_gather.FinalGather`, `photon_gather.PhotonGather`."""
 
@@ -61,13 +62,13 @@ class MaterialRows:
     groups: np.ndarray
     each: list[tuple[Reflection, dict]]
 
-    def direct(self, method: Transport, visibility: store.Layer, report: Callable[[int, int], None]):
+    def direct(self, method: Transport, visibility: store.Layer, report: Callable[[int, int], None]) -> None:
         """Completes the layers of direct light, from the visibility of all receivers."""
         kept, basis = compression(method), HaarFaces(method.resolution)
         directions = bake.directions_for(method.resolution, method.samples_per_side)
         layers = self._layers("transport", [kept.layout(one.terms, one.channels) for one, _ in self.each])
 
-        def make(i: int, frames, lacking: list[int]):
+        def make(i: int, frames, lacking: list[int]) -> None:
             bits = as_array(visibility.read("bits", int(self.groups[i])))
             for number in lacking:
                 reflection = of_group(self.each[number][0], i)
@@ -75,7 +76,7 @@ class MaterialRows:
 
         self._complete(layers, make, report)
 
-    def gathered(self, kind: str, kept: Clusters | Rows, gather: Gathers, report: Callable[[int, int], None]):
+    def gathered(self, kind: str, kept: Clusters | Rows, gather: Gathers, report: Callable[[int, int], None]) -> None:
         """Completes the layers of what is gathered: receivers look around once for all that they reflect."""
         channels, layouts = gather.channels_of([one for one, _ in self.each]), []
         for (reflection, _), c in zip(self.each, channels, strict=True):
@@ -84,7 +85,7 @@ class MaterialRows:
                 layouts[-1]["emitted"] = (GROUP, reflection.terms, c), np.dtype(np.float32)
         layers = self._layers(kind, layouts)
 
-        def make(i: int, frames, lacking: list[int]):
+        def make(i: int, frames, lacking: list[int]) -> None:
             # All together, also where some are there: they share what is looked at.
             mine = [of_group(one, i) for one, _ in self.each]
             found = gather.rows(self.receivers, int(self.groups[i]), frames, mine, channels)
@@ -106,7 +107,7 @@ class MaterialRows:
             return
         frames = frames_of(self.receivers, self.groups)
 
-        def make_lacking(i: int):
+        def make_lacking(i: int) -> None:
             make(i, frames[i], [number for number, layer in enumerate(layers) if not layer.has(i)])
 
         complete(layers, self.receivers.filled[self.groups], make_lacking, report)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from jaxrelight.brdf.material import as_material, in_grey
+from jaxrelight.brdf.material import as_material, split_tint
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -95,7 +95,7 @@ class PlacedScene:
         assert self.geometry.receivers is not None
         return self.geometry.receivers
 
-    def receivers_key(self, *dials) -> str:
+    def receivers_key(self, *dials: object) -> str:
         """Of the receivers, and of dials."""
         scene, seen, bumps = self.scene, self.geometry.visible, self.geometry.normal_maps
         camera = plain(dataclasses.astuple(scene.camera)) if self.method.receivers == "pixels" else None
@@ -121,7 +121,7 @@ class PlacedScene:
             material = as_material(self.scene.materials[name])
             if self.method.receivers == "vertices":
                 material = without_diffuse(material)
-            material = in_grey(material, diffuse=self.method.receivers == "pixels") if grey else material
+            material = split_tint(material, diffuse=self.method.receivers == "pixels") if grey else material
             bump = write_texture(self.folder, material.normal_map) if material.normal_map else None
             parts, notes = [], []
             for component in material.components:

@@ -11,7 +11,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.cloud_layers import make_indirect
-from jaxrelight.precomputation.layers import Made, check_terms_of, make_layers
+from jaxrelight.precomputation.layers import BuiltLayers, check_terms_of, make_layers
 from jaxrelight.precomputation.load import load
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
@@ -96,7 +96,9 @@ def precompute(
     return _finished(made, seconds, passes, notes)
 
 
-def _finished(made: Made, seconds: dict[str, float], passes: Sequence[Made], notes: Sequence[str] = ()) -> StoreBuild:
+def _finished(
+    made: BuiltLayers, seconds: dict[str, float], passes: Sequence[BuiltLayers], notes: Sequence[str] = ()
+) -> StoreBuild:
     """Writes the store's header."""
     header = {**made.header, "passes": [_layers(one) for one in passes]}
     store.write_header(made.folder, header)
@@ -123,7 +125,7 @@ def _of_pass(method: Transport, bounces: int) -> Transport:
     return dataclasses.replace(compressed, receivers="vertices", bounces=bounces)
 
 
-def _layers(made: Made) -> list[str]:
+def _layers(made: BuiltLayers) -> list[str]:
     """The layers that a pass has of its own."""
     own = [
         name for name in store.layers_of(made.header) if name.partition("-")[0] in ("factors", "transport", "bounced")

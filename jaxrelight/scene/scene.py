@@ -108,7 +108,7 @@ class Scene:
         """Whether surfaces emit light."""
         return any(as_material(self.materials[part.material]).emission is not None for part in self.parts)
 
-    def check_materials(self):
+    def check_materials(self) -> None:
         """Refuses parts whose material is not given, or cannot be put on them.
 
         Raises:

@@ -13,7 +13,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt8
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float, Integer, UInt8
 
 from jaxrelight.basis import cubemap, truncation
 from jaxrelight.brdf.reflection import Reflection
@@ -21,7 +22,7 @@ from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis
 
 # Receivers of a block, whose rows should stay in cache, and how many of them one step of a loop takes.
-_BLOCK, _TOGETHER = 8, 4
+_BLOCK, _RECEIVER_BATCH = 8, 4
 
 
 class Directions(eqx.Module):
@@ -47,16 +48,17 @@ class Directions(eqx.Module):
         return split.sum(axis=(-3, -1)).reshape(*traced.shape[:-1], 6 * n * n)
 
 
-def directions_for(resolution: int, samples: int = 1, dtype=jnp.float32) -> Directions:
+def directions_for(resolution: int, samples: int = 1, dtype: DTypeLike = jnp.float32) -> Directions:
     """Directions for a 6×resolution² cube map and samples² rays a texel."""
     fine = resolution * samples
     vectors, angles = cubemap.directions(fine), cubemap.solid_angles(fine)
     return Directions(as_array(np.array(vectors), dtype), as_array(np.array(angles), dtype), samples)
 
 
-def unpack(bits: UInt8[Array, "... bytes"], dtype) -> Float[Array, "... f"]:
+def unpack(bits: UInt8[Array, "... bytes"], dtype: DTypeLike) -> Float[Array, "... f"]:
     """Visibility 0 or 1 from bits, lowest first."""
-    spread = (bits[..., None] >> jnp.arange(8, dtype=jnp.uint8)) & 1
+    digits = jnp.arange(8, dtype=jnp.uint8).reshape((1,) * bits.ndim + (8,))
+    spread = (bits[..., None] >> digits) & 1
     return spread.reshape(*bits.shape[:-1], -1).astype(dtype)
 
 
@@ -67,7 +69,7 @@ def _row(
     local = jnp.matmul(frame, directions.vectors.T, precision="highest")
     weight = jnp.maximum(local[2], 0) * directions.solid_angles * unpack(bits, frame.dtype)
     light_side = jax.vmap(reflection.light_side, in_axes=1, out_axes=2)(local)
-    return directions.to_texels(light_side * weight)
+    return directions.to_texels(light_side * weight[None, None])
 
 
 def _map_blocks(function, bits, frames, reflection, directions, more=(), each=lambda row: row):
@@ -85,7 +87,7 @@ def _map_blocks(function, bits, frames, reflection, directions, more=(), each=la
     @jax.checkpoint
     def block(arguments):
         receivers, more = arguments
-        return function(jax.lax.map(row, receivers, batch_size=_TOGETHER), *more)
+        return function(jax.lax.map(row, receivers, batch_size=_RECEIVER_BATCH), *more)
 
     m = len(bits)
     size = math.gcd(m, _BLOCK)
@@ -100,7 +102,7 @@ def _joined(results):
 
 def _encoded(basis: Basis, rows: Float[Array, "b k c d"]) -> Float[Array, "b k c d"]:
     """Rows in a basis, by a loop of their own for the same reason."""
-    return jax.lax.map(basis.encode, rows, batch_size=_TOGETHER)
+    return jax.lax.map(basis.encode, rows, batch_size=_RECEIVER_BATCH)
 
 
 @jax.jit
@@ -142,7 +144,7 @@ def bake_kept(
     reflection: Reflection,
     directions: Directions,
     basis: Basis,
-    indices: Int[Array, "m k n"],
+    indices: Integer[Array, "m k n"],
 ) -> Float[Array, "m k c n"]:
     """The coefficients at given indices: differentiable in the reflection, the kept sets held fixed."""
 
@@ -164,7 +166,7 @@ def bake_and_apply(
     by_channel = light.T
 
     def terms(row):
-        return jnp.sum(row * by_channel, axis=-1)
+        return jnp.sum(row * by_channel[None], axis=-1)
 
     return _joined(_map_blocks(lambda rows: rows, bits, frames, reflection, directions, each=terms))
 

@@ -28,16 +28,15 @@ from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import filled_up
-from jaxrelight.operators.algebra import parts_of
 from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import Operator, parts_of
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake
 from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Numbers in a matrix of how much is seen, of several groups of vertices at once: what stays in cache. Sixteen times as
 # many took 2.6 times as long.
-_MOST = 2**20
+_MAX_MATRIX_SIZE = 2**20
 
 
 class _Part(NamedTuple):
@@ -147,7 +146,7 @@ class Gather:
     def light(
         self,
         hits: Hits,
-        light_side: Float[Array, "f m k c"],
+        light_side: Float[Array, "f m k c1"],
         terms: Sequence[np.ndarray | None],
         emission: bool = False,
     ) -> Float[np.ndarray, "m k c"]:
@@ -213,7 +212,7 @@ class Gather:
                     held[part.clusters[group].support] = True
         return np.flatnonzero(held)
 
-    def _lines(self, hits: Hits, closings, light_side: Float[Array, "f m k c"], channels: int):
+    def _lines(self, hits: Hits, closings, light_side: Float[Array, "f m k c1"], channels: int):
         """What is seen of each group of vertices: its coefficients, and a line for each of them."""
         for number, mine, slots, weights, closing in closings:
             hit = np.repeat(np.arange(len(mine)), slots.shape[1])
@@ -239,7 +238,7 @@ def _lines_of(part: _Part, entries, slots: Int[np.ndarray, " e"], light_side, cl
     starts = np.flatnonzero(np.diff(group[order], prepend=-1))
     ends, seen = np.append(starts[1:], len(order)), group[order][starts]
     of_a_group = GROUP * light_side.shape[1] * light_side.shape[2] * closing.shape[1] * channels
-    most = _power(max(1, _MOST // of_a_group), 4)
+    most = _power(max(1, _MAX_MATRIX_SIZE // of_a_group), 4)
     for size in np.unique(part.size[seen][part.size[seen] >= 0]):
         for some in _runs(np.flatnonzero(part.size[seen] == size), most):
             chosen = order[starts[some[0]] : ends[some[-1]]]
@@ -310,7 +309,7 @@ def _side_by_side(sides: list[Float[Array, "m _ _ f"]]) -> Float[Array, "f m k c
 
 
 @jax.jit
-def _received(light_side: Float[Array, "f m k c"], seen: Float[Array, "f m c"]) -> Float[Array, "m k c"]:
+def _received(light_side: Float[Array, "f m k c1"], seen: Float[Array, "f m c2"]) -> Float[Array, "m k c"]:
     """Light terms of radiance that is seen in the texels."""
     channels = max(light_side.shape[-1], seen.shape[-1])
     both = jnp.broadcast_to(light_side, (*light_side.shape[:3], channels)), seen
@@ -321,8 +320,8 @@ def _received(light_side: Float[Array, "f m k c"], seen: Float[Array, "f m c"]) 
 
 @functools.partial(jax.jit, static_argnames=("groups", "channels"))
 def _seen(
-    light_side: Float[Array, "f m k c"],
-    closing: Float[Array, "h l c"],
+    light_side: Float[Array, "f m k c1"],
+    closing: Float[Array, "h l c2"],
     receiver: Int[Array, " e"],
     texel: Int[Array, " e"],
     hit: Int[Array, " e"],
@@ -343,7 +342,7 @@ def _seen(
 
 @jax.jit
 def _mixed(
-    seen: Float[Array, "p v m k l c"], basis: Float[Array, "p q s"], weights: Float[Array, "p c q r"]
+    seen: Float[Array, "p v m k l c"], basis: Float[Array, "p q s"], weights: Float[Array, "p c1 q r"]
 ) -> Float[Array, "p s w"]:
     """The rows of what is seen, each group's over its own coefficients."""
     p, v, m, k, terms, c = seen.shape

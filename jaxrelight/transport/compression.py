@@ -1,10 +1,10 @@
 """What is kept of the rows of a group, how a layer holds it, and the operator that it makes."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.basis.truncation import Truncated
@@ -52,7 +52,12 @@ def of_cloud(method: Indirect, spectrum: Float[np.ndarray, " d"]) -> "Rows | Clu
 
 
 def bake_compressed(
-    kept: "Rows | Clusters", bits, frames, reflection: Reflection, directions: bake.Directions, basis: HaarFaces
+    kept: "Rows | Clusters",
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: bake.Directions,
+    basis: HaarFaces,
 ) -> dict[str, np.ndarray]:
     """Direct light of one group, as a layer holds it; see `bake`."""
     if isinstance(kept, Rows):
@@ -80,7 +85,7 @@ class Rows:
         self._spectrum = spectrum
 
     @property
-    def dial(self):
+    def dial(self) -> Any:
         """What a layer's key has to tell of it."""
         return self.count if self._bits == 32 else [self.count, self._bits]
 
@@ -147,7 +152,7 @@ class Clusters:
         self._spectrum = spectrum
 
     @property
-    def dial(self):
+    def dial(self) -> Any:
         """What a layer's key has to tell of it."""
         return ["clusters", self._tolerance, *([] if self._bits == 32 else [self._bits])]
 

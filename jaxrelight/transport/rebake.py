@@ -4,7 +4,7 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Int, Integer
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
@@ -14,9 +14,8 @@ from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.operators.algebra import InBasis, Summed, parts_of
 from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.contract import InBasis, Operator, Summed, parts_of
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import padded_receivers
@@ -79,7 +78,7 @@ def rebake(transport: PrecomputedTransport, reflections: list[Reflection]) -> Pr
                 transport.basis,
                 kept[i],
             )
-            * (np.arange(n) < counts[i])
+            * (np.arange(n) < counts[i])[None, None, None]
             for i, group in enumerate(groups)
         ]
         joined = jnp.concatenate(values).reshape(-1, reflection.channels, n)
@@ -89,7 +88,9 @@ def rebake(transport: PrecomputedTransport, reflections: list[Reflection]) -> Pr
     return dataclasses.replace(transport, blocks=tuple(blocks))
 
 
-def _kept(old: Operator, groups: int, terms: int) -> tuple[Int[Array | np.ndarray, "g m k n"], Int[np.ndarray, " g"]]:
+def _kept(
+    old: Operator, groups: int, terms: int
+) -> tuple[Integer[Array | np.ndarray, "g m k n"], Int[np.ndarray, " g"]]:
     """Numbers of the coefficients of every row, and how many count; zeros follow where a cluster has fewer."""
     if isinstance(old, SparseRows):
         n = old.indices.shape[-1]

@@ -20,6 +20,7 @@ def test_size_is_the_number_of_texels(basis, size):
         assert jax.eval_shape(transform, jax.ShapeDtypeStruct((2, 3, size), np.float32)).shape == (2, 3, size)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(("basis", "size"), BASES)
 @pytest.mark.parametrize("shape", [(3, 100), (96, 3), ()])
 def test_other_numbers_are_refused(basis, size, shape):

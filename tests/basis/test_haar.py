@@ -9,9 +9,6 @@ import pywt
 
 from jaxrelight.basis import haar
 
-pytestmark = pytest.mark.usefixtures("strict_ranks")
-
-
 _forward, _inverse = jax.jit(haar.forward), jax.jit(haar.inverse)
 
 

@@ -20,7 +20,7 @@ from jaxrelight.lighting.adaptive.view import AdaptiveView
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import group_lights, trace_visibility
 from jaxrelight.lights.sky import Sky
-from jaxrelight.numerics.random_numbers import even_numbers
+from jaxrelight.numerics.random_numbers import vogel_points
 from tests.benchmarks.adaptive import BASELINE, SEED, Case, as_good, brdf_of, first_good, prepared, scene_of, timed
 from tests.benchmarks.measuring import RESULTS, Report, percent
 
@@ -238,7 +238,7 @@ def turned(x: float) -> np.ndarray:
 def measured_variance(case: Case, samples: int = 1024) -> np.ndarray:
     """Of what single samples say, at the pixels that are predicted."""
     part, probe = case.relighter().sampled_materials[0].components[0].sampler, case.view.probes[0]
-    numbers = even_numbers(jax.numpy.arange(samples), jax.numpy.asarray(samples), jax.numpy.zeros(2, np.uint32))
+    numbers = vogel_points(jax.numpy.arange(samples), jax.numpy.asarray(samples), jax.numpy.zeros(2, np.uint32))
 
     @jax.jit
     def of(part, light, pixels):
@@ -255,7 +255,7 @@ def measured_variance(case: Case, samples: int = 1024) -> np.ndarray:
         rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint
         return jax.lax.map(pixel, rows, batch_size=256)
 
-    return np.asarray(of(part, case.lit.pyramid, probe.pixels))
+    return np.asarray(of(part, case.lit.mipmap, probe.pixels))
 
 
 def interior(covered: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -187,7 +187,7 @@ def _whole_rows(scene, terms: int, chosen):
     from jaxrelight import factor
     from jaxrelight.basis import cubemap
     from jaxrelight.basis.haar import HaarFaces
-    from jaxrelight.brdf.material import as_material, in_grey
+    from jaxrelight.brdf.material import as_material, split_tint
     from jaxrelight.geometry.receivers import GROUP, vertex_receivers
     from jaxrelight.geometry.tracer import Tracer
     from jaxrelight.transport import bake
@@ -198,7 +198,7 @@ def _whole_rows(scene, terms: int, chosen):
     receivers = vertex_receivers(surfaces, np.array([part.material == "object" for part in scene.parts], int))
     mine = receivers.groups_of(1)
     groups = chosen(mine[receivers.filled[mine] == GROUP])
-    reflection = factor(in_grey(as_material(scene.materials["object"])).components[-1].brdf, terms, 48)
+    reflection = factor(split_tint(as_material(scene.materials["object"])).components[-1].brdf, terms, 48)
     basis, directions, tracer = HaarFaces(RESOLUTION), bake.directions_for(RESOLUTION), Tracer(surfaces)
 
     def rows():

@@ -147,8 +147,8 @@ def _held(made) -> int:
 def study(report: Report, folder: pathlib.Path, resolution: int):
     """Error and energy of bounced light over the look-around, the bounces and what is kept of each pass."""
     import jaxrelight as jr
-    from jaxrelight.operators.algebra import parts_of
     from jaxrelight.operators.clustered import Clustered
+    from jaxrelight.operators.contract import parts_of
 
     quick, resolution = resolution < 64, min(resolution, 16)
     few, most, side, finest_side, least = (1, 1, 4, 12, 0.1) if quick else (None, 3, 32, FINEST, 0.002)

@@ -124,6 +124,7 @@ def test_it_depends_on_direction_even_without_a_lobe():
     assert brdf.channels == 3
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [

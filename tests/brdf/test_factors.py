@@ -392,6 +392,7 @@ def test_a_constant_is_exact_in_every_form(form):
     np.testing.assert_allclose(found, np.broadcast_to(np.array([0.2, 0.5, 0]) / np.pi, found.shape), rtol=1e-6)
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_an_unknown_form_and_a_matrix_too_large_are_refused():
     with pytest.raises(InputError, match="form of factors is 'cur'; known are svd, symmetric, normalised, nonnegative"):
         factor(GLOSSY, 1, SIDE, form="cur")  # pyright: ignore

@@ -11,7 +11,7 @@ from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.half_sampling import half_vectors
 from jaxrelight.brdf.lobes import lambert, phong
 from jaxrelight.brdf.sampling import directional_albedo
-from jaxrelight.numerics.random_numbers import even_numbers
+from jaxrelight.numerics.random_numbers import vogel_points
 
 BRDFS = {
     "black": lambert(0.0),
@@ -35,8 +35,8 @@ def _drawn(vectors, omega_o, u):
 
 
 @jax.jit
-def _even_numbers():
-    return even_numbers(jnp.arange(COUNT**2), jnp.asarray(COUNT**2), jnp.zeros(2, jnp.uint32))
+def _vogel_points():
+    return vogel_points(jnp.arange(COUNT**2), jnp.asarray(COUNT**2), jnp.zeros(2, jnp.uint32))
 
 
 @jax.jit
@@ -49,7 +49,7 @@ def _weights(brdf, omega_i, pdf, omega_o):
 
 
 def _samples(vectors, omega_o):
-    omega_i, pdf = _drawn(vectors, omega_o / np.linalg.norm(omega_o), _even_numbers())
+    omega_i, pdf = _drawn(vectors, omega_o / np.linalg.norm(omega_o), _vogel_points())
     return np.asarray(omega_i), np.asarray(pdf)
 
 

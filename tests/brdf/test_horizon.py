@@ -8,10 +8,10 @@ from jax.test_util import check_grads
 
 from jaxrelight.brdf import horizon
 
-_cut = jax.jit(horizon.cut)
+_cut = jax.jit(horizon.clip_lobe)
 
 
-def cut(peak, exponent):
+def clip_lobe(peak, exponent):
     found = _cut(np.asarray(peak, np.float32), np.float32(exponent))
     return jax.tree.map(np.asarray, found)
 
@@ -32,7 +32,7 @@ def test_share_and_mean_are_those_of_the_product(exponent, degrees):
     share = lobe.mean() * (exponent + 1)
     mean = omega @ lobe / lobe.sum()
     length = np.linalg.norm(mean)
-    found = cut(peak, exponent)
+    found = clip_lobe(peak, exponent)
     np.testing.assert_allclose(found.share, share, rtol=4e-3 if degrees < 90 else 2e-2, atol=1e-6)
     np.testing.assert_allclose(found.peak, mean / length, atol=3e-3)
     # A cosine lobe's mean is (n + 1)/(n + 2) long.
@@ -41,14 +41,14 @@ def test_share_and_mean_are_those_of_the_product(exponent, degrees):
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 31.0, 1e4])
 def test_along_the_normal_the_cosine_is_one_more_in_the_exponent(exponent):
-    found = cut([0, 0, 1], exponent)
+    found = clip_lobe([0, 0, 1], exponent)
     np.testing.assert_allclose(found.exponent, exponent + 1, rtol=2e-3)
     np.testing.assert_allclose(found.share, (exponent + 1) / (exponent + 2), rtol=1e-3)
     np.testing.assert_allclose(found.peak, [0, 0, 1], atol=1e-6)
 
 
 def test_a_sharp_lobe_above_the_horizon_is_weighed_by_its_cosine_and_stays():
-    found = cut(at(40), 5000)
+    found = clip_lobe(at(40), 5000)
     np.testing.assert_allclose(found.share, np.cos(np.radians(40)), rtol=1e-3)
     np.testing.assert_allclose(found.peak, at(40), atol=1e-3)
 
@@ -56,7 +56,7 @@ def test_a_sharp_lobe_above_the_horizon_is_weighed_by_its_cosine_and_stays():
 def test_below_the_horizon_little_is_left_and_none_of_it_comes_from_below():
     for degrees in (95, 120, 170, 180):
         for exponent in (0.0, 5.0, 200.0):
-            found = cut(at(degrees), exponent)
+            found = clip_lobe(at(degrees), exponent)
             assert 0 <= found.share < 0.25
             assert found.peak[2] >= 0
 
@@ -65,7 +65,7 @@ def test_everything_is_finite_and_differentiable():
     peaks = np.asarray([[0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0], at(30), at(135)], np.float32)
 
     def flat(peak, exponent):
-        share, moved, sharpness = horizon.cut(peak, exponent)
+        share, moved, sharpness = horizon.clip_lobe(peak, exponent)
         return jnp.concatenate([jnp.stack([share, sharpness]), moved])
 
     slopes = jax.jit(jax.vmap(jax.vmap(jax.jacobian(flat, (0, 1)), (None, 0)), (0, None)))

@@ -7,7 +7,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
-from jaxrelight.brdf.material import Component, Material, as_material, in_grey
+from jaxrelight.brdf.material import Component, Material, as_material, split_tint
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import constant, look_up
 
@@ -22,7 +22,7 @@ def _values(material: Material) -> np.ndarray:
     for component in material.components:
         assert not isinstance(component.brdf, SpatialLobes)
         value = jax.vmap(component.brdf.evaluate)(*DIRECTIONS)
-        total = total + value * look_up(component.weight, jnp.full(2, 0.5))
+        total = total + value * look_up(component.weight, jnp.full(2, 0.5))[None]
     return np.broadcast_to(np.asarray(total), (40, 3))
 
 
@@ -42,7 +42,7 @@ GREY = {
 def test_lobes_of_a_tint_become_grey_ones_that_reflect_the_same(name):
     weight = (constant([0.5, 1.0, 2.0]),)
     material = Material((Component(GREY[name], weight),), emission=np.ones(3, np.float32))
-    found = in_grey(material)
+    found = split_tint(material)
     assert [component.brdf.channels for component in found.components] == [1] * len(found.components)
     assert len(found.components) == 1 + bool(np.any(np.asarray(GREY[name].diffuse)))
     np.testing.assert_array_equal(found.emission, material.emission)
@@ -62,4 +62,4 @@ def test_lobes_of_a_tint_become_grey_ones_that_reflect_the_same(name):
 )
 def test_others_stay_what_they_are(brdf):
     material = as_material(brdf)
-    assert in_grey(material) == material
+    assert split_tint(material) == material

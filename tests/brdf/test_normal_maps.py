@@ -9,7 +9,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Part, Scene
 from jaxrelight.brdf.material import Component, Material
-from jaxrelight.brdf.normal_maps import bent
+from jaxrelight.brdf.normal_maps import apply_normal_map
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry.frame import tangent_frame
@@ -37,8 +37,8 @@ def test_a_map_bends_towards_growing_u_and_v(shape):
     turn[:3, :3] = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     turn[:3, 0] *= np.sign(np.linalg.det(turn[:3, :3]))
     surfaces = join([meshes.transformed(shape, turn)])
-    found = bent(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.6, 0.0, 0.8))
-    across = bent(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.0, 0.6, 0.8))
+    found = apply_normal_map(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.6, 0.0, 0.8))
+    across = apply_normal_map(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.0, 0.6, 0.8))
     for face in surfaces.faces:
         (a, b, c), uv = surfaces.vertices[face], surfaces.uv[face]
         to_uv = np.stack([uv[1] - uv[0], uv[2] - uv[0]])
@@ -52,7 +52,7 @@ def test_mirrored_texture_coordinates_turn_v_not_the_normal():
     plane = jr.plane((1, 1), 2)
     assert plane.uv is not None
     mirrored = join([dataclasses.replace(plane, uv=plane.uv * [-1, 1])])
-    found = bent(mirrored.normals, mirrored.u_axes, mirrored.uv, _map(0.48, 0.36, 0.8))
+    found = apply_normal_map(mirrored.normals, mirrored.u_axes, mirrored.uv, _map(0.48, 0.36, 0.8))
     np.testing.assert_allclose(found, np.broadcast_to([-0.48, 0.8, -0.36], found.shape), atol=1e-6)
 
 

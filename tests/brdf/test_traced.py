@@ -90,6 +90,7 @@ def test_materials_pass_through_jax():
     np.testing.assert_allclose(material.components[1].brdf.exponent, 5)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("make", "what"),
     [

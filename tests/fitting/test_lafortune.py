@@ -120,6 +120,7 @@ def test_the_grid_keeps_unit_directions_above_the_horizon():
         assert omega[:, 2].min() >= grid.least_cosine
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_bad_input_is_named():
     samples = sample(lobe_sum(0.5, []), COARSE)
     with pytest.raises(InputError, match="unknown weight 'sine'; there are plain, cosine, log-cosine"):

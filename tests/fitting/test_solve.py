@@ -246,6 +246,7 @@ def test_the_optimum_is_differentiable_in_both_modes(x64):
     check_grads(of_values, (data.values,), order=1, modes=["fwd", "rev"], atol=2e-4, rtol=2e-4, eps=1e-5)
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_options_and_shapes_are_checked():
     data = made()
     with pytest.raises(InputError, match="lobes must be 1, 2 or 3"):

@@ -89,6 +89,7 @@ def test_a_list_of_images(tmp_path):
     np.testing.assert_allclose(load_stack(path).images[0], 128 / 255 / 2, rtol=1e-4)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("change", "word"),
     [

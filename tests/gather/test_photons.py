@@ -77,7 +77,7 @@ def test_seeds():
 
 
 def test_more_than_are_traced_at_once(monkeypatch):
-    monkeypatch.setattr("jaxrelight.gather.photons._AT_ONCE", 10)
+    monkeypatch.setattr("jaxrelight.gather.photons._RAY_CHUNK", 10)
     surfaces = join(ROOM)
     places = np.array([[0, -1, 0], [0.5, -1, 0.5], [-0.5, -1, 0]])
     found = shoot(surfaces, Tracer(surfaces), places, np.tile([0.0, 1, 0], (3, 1)), of(0.5), 7, 1)

@@ -6,9 +6,6 @@ import pytest
 
 from jaxrelight.geometry import frame
 
-pytestmark = pytest.mark.usefixtures("strict_ranks")
-
-
 _frames = jax.jit(frame.tangent_frame)
 
 

@@ -43,7 +43,7 @@ def test_bands_on_several_threads_are_the_whole(monkeypatch):
     camera = Camera((0, 0.5, 3), (0, 0, 0), fov_y=20, width=13, height=11)
     _, whole = traced([sphere(0.5, 6), plane((2, 2))], camera)
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    monkeypatch.setattr(module, "_EACH", 30)
+    monkeypatch.setattr(module, "_PIXEL_CHUNK", 30)
     _, banded = traced([sphere(0.5, 6), plane((2, 2))], camera)
     for field in dataclasses.fields(GBuffer):
         np.testing.assert_array_equal(getattr(banded, field.name), getattr(whole, field.name))

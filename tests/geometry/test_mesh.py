@@ -550,6 +550,7 @@ def test_size_and_place_change_nothing(tmp_path):
             np.testing.assert_allclose(again.normals, welded.normals, atol=1e-4)
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_normalized_stands_centred_on_the_ground():
     mesh = normalized(transformed(SMALL, np.diag([2.0, 5, 3, 1]) + 7 * np.eye(4, k=3)), 0.25)
     np.testing.assert_allclose(bounds(mesh), [[-0.05, 0, -0.075], [0.05, 0.25, 0.075]], atol=1e-15)
@@ -583,6 +584,7 @@ def test_normals_stay_perpendicular_under_shear():
     np.testing.assert_allclose((mesh.normals[mesh.faces] * face_normals(mesh)[:, None]).sum(axis=2), 1, atol=1e-12)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     "matrix",
     [

@@ -84,6 +84,7 @@ def test_box_is_closed_flat_shaded_and_exact(resolution):
     np.testing.assert_allclose([solid.volume, solid.area], [6, 22])
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     "make",
     [

@@ -42,7 +42,7 @@ def check_grouping(receivers: Receivers, positions, normals, material):
     assert len(np.unique(slot)) == len(slot)
     assert (slot % GROUP < receivers.filled[slot // GROUP]).all()
     for number in np.unique(material):
-        mine = receivers.groups_of(number)
+        mine = receivers.groups_of(int(number))
         np.testing.assert_array_equal(mine, np.arange(mine[0], mine[0] + len(mine)))
         assert len(mine) == -(-(material == number).sum() // GROUP)
         assert (receivers.filled[mine[:-1]] == GROUP).all()

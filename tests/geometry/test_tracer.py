@@ -154,6 +154,7 @@ def test_rays_without_end_are_traced_to_the_end():
     np.testing.assert_array_equal(face >= 0, [True, False])
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("origins", "directions"),
     [((4, 3), (3, 3)), ((3, 3), (4, 3)), ((3,), (3,)), ((4, 2), (4, 2)), ((1, 3), (4, 3)), ((2, 2, 3), (2, 2, 3))],

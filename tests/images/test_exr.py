@@ -195,6 +195,7 @@ def test_subsampled_colours_are_refused(path):
         read_exr(_written(path, Part(channels, sampling={"B": (2, 2)})), LIMIT)
 
 
+@pytest.mark.usefixtures("wrong_types")
 def test_primaries_are_converted(path):
     pixels = _pixels(4)
     for chromaticities, matrix in (

@@ -34,6 +34,7 @@ def test_white_stays_white(chromaticities):
     np.testing.assert_allclose(matrix(chromaticities) @ np.ones(3), 1, atol=1e-9)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     "chromaticities", [[0.3] * 8, [0] * 8, [np.nan] * 8, [1e30] * 8, [0.1, 0.2], (*REC709[:6], 0.3, 0)]
 )

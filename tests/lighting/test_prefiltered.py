@@ -219,8 +219,8 @@ def test_lobes_of_each_channel_are_seen_in_that_channel():
 
 
 def test_weights_multiply_what_is_reflected():
-    factors = np.array([0.25, 0.5, 1.0], np.float32)
-    less = look(ball(Material((Component(LAFORTUNE, (Texture(as_array(factors[None, None])),)),))))
+    factors = np.array([[[0.25, 0.5, 1.0]]], np.float32)
+    less = look(ball(Material((Component(LAFORTUNE, (Texture(as_array(factors)),)),))))
     whole, lamp = lafortune(), [point([2, 3, 1], 5)]
     np.testing.assert_allclose(lit_by(less, lamp), lit_by(whole, lamp) * factors, rtol=1e-5)
     np.testing.assert_allclose(under(less, filtered()), under(whole, filtered()) * factors, rtol=1e-5)

@@ -28,11 +28,13 @@ LIGHTS = {
 }
 
 
-class Counting:
+class Counting(Tracer):
     """A tracer that counts rays."""
 
     def __init__(self, tracer):
         self.tracer, self.rays = tracer, 0
+        # What another one has traced is not remembered for it.
+        self.key = f"{tracer.key} {id(self)}"
 
     def blocked(self, origins, directions, distance):
         self.rays += len(origins)

@@ -39,6 +39,7 @@ def test_all_of_its_area_is_in_its_patches():
     np.testing.assert_allclose(sum(part.position for part in parts), 0, atol=1e-6)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("change", "what"),
     [

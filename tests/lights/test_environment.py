@@ -79,6 +79,7 @@ def test_a_fourth_channel_is_ignored_whatever_it_is():
     np.testing.assert_array_equal(environment(pixels).pixels, sky())
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize("shape", [(8, 16), (8, 16, 1), (8, 16, 2), (8, 16, 5), ()])
 def test_other_shapes_are_refused(shape):
     with pytest.raises(InputError, match="h × w pixels of three channels"):

@@ -43,6 +43,7 @@ def test_lights_add_up_and_are_pytrees():
     assert Lights(None, (LAMP,)).notes == ()
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize("given", [[SKY, SKY], (Lights(SKY), [LAMP, SKY])])
 def test_two_environments_are_refused(given):
     with pytest.raises(InputError, match="2 environments were given; a scene has one at most") as caught:
@@ -52,6 +53,7 @@ def test_two_environments_are_refused(given):
         _ = Lights(SKY) + SKY
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("given", "kind"),
     [(3.0, "float"), ("sky.exr", "str"), (np.ones((2, 4, 3)), "ndarray"), ({"sky": SKY}, "dict"), ([LAMP, 1], "int")],

@@ -33,6 +33,10 @@ def test_nothing_falls_beside_the_image_or_behind():
     np.testing.assert_array_equal(found[:, 0] > 0, [True, True, False, False, False, False])
 
 
+def _moved(given, way, step: float) -> Projector:
+    return Projector(*(np.asarray(x + step * w) for x, w in zip(given, way, strict=True)))  # pyright: ignore[reportArgumentType]
+
+
 @jax.jit
 def _slopes(given, way, back, places):
     def irradiance(*numbers):
@@ -51,10 +55,7 @@ def test_gradients_are_right_and_finite_at_the_lens_behind_and_beside(x64):
         random.normal(size=(4, 3)),
     )
     forwards, backwards = _slopes(given, way, back, places)
-    ends = [
-        np.asarray(_at(Projector(*(x + step * w for x, w in zip(given, way, strict=True))), places).irradiance)  # pyright: ignore[reportArgumentType]
-        for step in (1e-6, -1e-6)
-    ]
+    ends = [np.asarray(_at(_moved(given, way, step), places).irradiance) for step in (1e-6, -1e-6)]
     np.testing.assert_allclose(forwards, (ends[0] - ends[1]) / 2e-6, rtol=1e-6, atol=1e-7)
     along = sum(np.vdot(x, np.asarray(y)) for x, y in zip(way, backwards, strict=True))
     np.testing.assert_allclose(along, np.vdot(back, np.asarray(forwards)), rtol=1e-9)
@@ -62,6 +63,7 @@ def test_gradients_are_right_and_finite_at_the_lens_behind_and_beside(x64):
     assert all(np.isfinite(np.asarray(part)).all() for part in jax.tree.leaves(_slopes(given, way, back, beside)))
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("change", "what"),
     [

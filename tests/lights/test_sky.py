@@ -62,6 +62,7 @@ def test_a_black_map_is_a_black_sky():
     np.testing.assert_array_equal(sky.irradiance, 0)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize("make", [lambda: even_sky(1.0, 0), lambda: even_sky(1.0, 2.5), lambda: even_sky(-1.0)])  # pyright: ignore[reportArgumentType]
 def test_what_is_no_sky_is_refused(make):
     with pytest.raises(InputError, match=r"samples must be 1 or more|radiance must be"):

@@ -8,7 +8,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.lights.environment import coarsened, encode
-from jaxrelight.lights.sun import MOST, split_sun, without_sun
+from jaxrelight.lights.sun import MAX_TEXELS, split_sun, without_sun
 from tests.shared_data import shared
 
 SKY = np.random.default_rng(3).uniform(0.5, 1.5, (6 * 8**2, 3)).astype(np.float32)
@@ -52,7 +52,7 @@ def test_a_single_texel_is_all_sun(scale):
     split = split_sun(jnp.asarray(light))
     assert not np.asarray(split.rest).any()
     np.testing.assert_array_equal(split.sun, light)
-    assert len(split.texels) == MOST
+    assert len(split.texels) == MAX_TEXELS
 
 
 @pytest.mark.parametrize("sky", [SKY, np.zeros_like(SKY)], ids=["over a sky", "alone"])

@@ -74,6 +74,7 @@ def test_the_light_of_a_lamp_is_differentiated_in_where_it_stands():
     assert slope == pytest.approx(-2 / 2 * 3 / 4)
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("make", "what"),
     [

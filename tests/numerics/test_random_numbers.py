@@ -6,21 +6,21 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from jaxrelight.numerics.random_numbers import MOST, even_numbers, shifts
+from jaxrelight.numerics.random_numbers import MAX_POINTS, random_rotation, vogel_points
 
 
 @jax.jit
-def many_shifts(seed):
-    return shifts(jnp.arange(4096), seed)
+def many_rotations(seed):
+    return random_rotation(jnp.arange(4096), seed)
 
 
 @jax.jit
 def numbers(count):
-    """For each of several shifts; those from `count` on are none."""
-    return jax.vmap(lambda one: even_numbers(jnp.arange(MOST), count, one))(many_shifts(0)[:7])
+    """For each of several rotations; those from `count` on are none."""
+    return jax.vmap(lambda one: vogel_points(jnp.arange(MAX_POINTS), count, one))(many_rotations(0)[:7])
 
 
-@pytest.mark.parametrize("count", [16, 48, 256, MOST])
+@pytest.mark.parametrize("count", [16, 48, 256, MAX_POINTS])
 def test_steps_have_one_each(count: int):
     for found in np.asarray(numbers(count))[:, :count]:
         assert (found >= 0).all()
@@ -44,11 +44,11 @@ def test_a_disc_is_filled_evenly(count: int):
         assert np.abs(points.mean(axis=0)).max() < 2 / count
 
 
-def test_shifts_are_as_good_as_random():
-    found = np.asarray(many_shifts(3), float) / 2**32
+def test_rotations_are_as_good_as_random():
+    found = np.asarray(many_rotations(3), float) / 2**32
     np.testing.assert_allclose(found.mean(axis=0), 0.5, atol=0.02)
     np.testing.assert_allclose(found.std(axis=0), 12**-0.5, atol=0.01)
     assert np.abs(np.corrcoef(found.T) - np.eye(2)).max() < 0.05
     assert np.abs(np.corrcoef(found[:-1].T, found[1:].T)[:2, 2:]).max() < 0.05
-    assert not np.array_equal(found, np.asarray(many_shifts(4), float) / 2**32)
-    np.testing.assert_array_equal(found, np.asarray(many_shifts(3), float) / 2**32)
+    assert not np.array_equal(found, np.asarray(many_rotations(4), float) / 2**32)
+    np.testing.assert_array_equal(found, np.asarray(many_rotations(3), float) / 2**32)

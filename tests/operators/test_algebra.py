@@ -154,6 +154,7 @@ def test_what_does_not_fit_is_refused_with_both_shapes(call, shapes):
         assert shape in message
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize(
     ("one", "function", "other"),
     [

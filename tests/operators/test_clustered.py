@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxrelight.operators.clustered import (
-    _TOGETHER,
+    _GROUP_BATCH,
     Cluster,
     Clustered,
     as_clusters,
@@ -124,12 +124,12 @@ def test_every_column_has_all_its_holders_once():
 @pytest.mark.parametrize(
     ("channels", "bits", "groups"),
     [
-        *[(1, None, groups) for groups in (1, _TOGETHER, _TOGETHER + 1)],
-        *[(channels, bits, _TOGETHER + 1) for channels, bits in ((3, None), (1, 8))],
+        *[(1, None, groups) for groups in (1, _GROUP_BATCH, _GROUP_BATCH + 1)],
+        *[(channels, bits, _GROUP_BATCH + 1) for channels, bits in ((3, None), (1, 8))],
         *[
             pytest.param(channels, bits, groups, marks=pytest.mark.slow)
             for channels, bits in ((3, None), (1, 8))
-            for groups in (1, _TOGETHER)
+            for groups in (1, _GROUP_BATCH)
         ],
     ],
 )

@@ -308,6 +308,7 @@ OTHER_CHANNELS = {
 }
 
 
+@pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize("name", [*SMALL, *MADE_OF_OTHERS, "on one device"])
 def test_other_shapes_are_refused(name):
     operator, _ = case(name)

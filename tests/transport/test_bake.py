@@ -56,8 +56,10 @@ def reflection_for(name: str, m: int, dtype: Any = np.float32) -> Any:
 
 @jax.jit
 def _light_sides(reflection: Reflection, local: jax.Array) -> jax.Array:
-    own_axes: Any = FixedView
-    in_axes = (own_axes(None, 0), 0) if isinstance(reflection, FixedView) else (None, 0)
+    if isinstance(reflection, FixedView):
+        in_axes = jax.tree.map(lambda own: 0 if own else None, reflection.per_receiver), 0
+    else:
+        in_axes = None, 0
     return jax.vmap(lambda own, omega: jax.vmap(own.light_side)(omega), in_axes=in_axes)(reflection, local)
 
 
@@ -179,8 +181,8 @@ def _furnace(through: str, bits, normals, reflection: Reflection, directions: ba
         terms = jnp.einsum("mkcd,dx->mkx", rows, HaarFaces(n).encode(ones.T).T)
     else:
         terms = bake.bake_and_apply(bits, frames, reflection, directions, ones)
-    view = reflection.view_side(up) if isinstance(reflection, Factored) else 1.0
-    return jnp.sum(view * terms, axis=1)
+    view = reflection.view_side(up) if isinstance(reflection, Factored) else np.ones((1, 1))
+    return jnp.sum(view[None] * terms, axis=1)
 
 
 @pytest.mark.parametrize("through", ["texels", "haar", "fixed view"])

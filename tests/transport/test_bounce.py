@@ -49,7 +49,7 @@ def radiance_at_vertices(transport: PrecomputedTransport) -> np.ndarray:
     assert block.emission is not None
     assert block.emitted is not None
     view = np.asarray(block.reflection.view_side(UP))
-    return (block.emission + np.sum(block.emitted * view, axis=1))[transport.receivers.slot_of]
+    return (block.emission[None] + np.sum(block.emitted * view[None], axis=1))[transport.receivers.slot_of]
 
 
 def picture(transport: PrecomputedTransport, light: np.ndarray = LIGHT) -> np.ndarray:

@@ -43,7 +43,7 @@ class Content:
             raise self.fault("is cut short")
         return np.frombuffer(self.data, dtype, count, offset).reshape(shape)
 
-    def check_finite(self, values: Float[np.ndarray, "..."], what: str):
+    def check_finite(self, values: Float[np.ndarray, "..."], what: str) -> None:
         """Refuses numbers that are no numbers, also as float32."""
         wrong = int(np.sum(~(np.abs(values) < np.finfo(np.float32).max)))
         if wrong:

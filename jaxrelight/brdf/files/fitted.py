@@ -114,7 +114,7 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
     if not (np.isfinite(light).all() and np.isfinite(view).all()):
         raise InputError(f"{path}: the factors are not finite and cannot be written; check the BRDF")
 
-    def write(partial: pathlib.Path):
+    def write(partial: pathlib.Path) -> None:
         with partial.open("wb") as file:
             np.savez_compressed(file, light_maps=light, view_maps=view)
 

@@ -11,14 +11,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, UInt16
 
-from jaxrelight.lighting.adaptive.sampled import Sampled
+from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lights.pyramid import LightPyramid
+from jaxrelight.lights.environment_mipmap import EnvironmentMipmap
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import bucket
-from jaxrelight.numerics.random_numbers import MOST, even_numbers, shifts
+from jaxrelight.numerics.random_numbers import MAX_POINTS, random_rotation, vogel_points
 
 # Samples of a piece of work; counts are multiples of it.
 RUN = 16
@@ -49,11 +50,11 @@ class SampleWork(eqx.Module):
 
 
 def estimate(
-    part: Sampled,
-    light: LightPyramid,
+    part: SampledBrdf,
+    light: EnvironmentMipmap,
     pixels: SurfacePixels,
     counts: Int[np.ndarray, " p"],
-    seed: int = 0,
+    seed: ArrayLike = 0,
     filtered: bool = True,
     blocked: Blocked | None = None,
     report: Callable[[int], None] | None = None,
@@ -64,7 +65,7 @@ def estimate(
         part: a component.
         light: the environment.
         pixels: any.
-        counts: samples of each, rounded up to multiples of `RUN`, up to `MOST`.
+        counts: samples of each, rounded up to multiples of `RUN`, up to `MAX_POINTS`.
         seed: of the numbers that samples are drawn with.
         filtered: look up the mean of what a sample stands for; else the single texel, whose noise is larger.
         blocked: casts shadows; None for none.
@@ -93,10 +94,10 @@ def estimate(
 
 
 def list_work(
-    part: Sampled,
+    part: SampledBrdf,
     pixels: SurfacePixels,
     counts: Int[np.ndarray, " p"],
-    seed: int = 0,
+    seed: ArrayLike = 0,
     blocked: Blocked | None = None,
 ) -> SampleWork:
     """The work of `estimate` with its shadow rays cast, so that `estimate_listed` needs nothing of the host.
@@ -127,7 +128,12 @@ def list_work(
 
 @functools.partial(jax.jit, static_argnames="filtered")
 def estimate_listed(
-    part: Sampled, light: LightPyramid, pixels: SurfacePixels, work: SampleWork, seed: int = 0, filtered: bool = True
+    part: SampledBrdf,
+    light: EnvironmentMipmap,
+    pixels: SurfacePixels,
+    work: SampleWork,
+    seed: ArrayLike = 0,
+    filtered: bool = True,
 ) -> Float[Array, "p 3"]:
     """`estimate` of listed work: pure, and differentiable in the light and the BRDF.
 
@@ -145,7 +151,7 @@ def estimate_listed(
         drawn = _directions(part, pixels, number, place, first, seed)
         given, _ = _pieces(part, light, pixels, number, place, drawn, filtered)
         if visible is not None:
-            bits = (visible[:, None] >> jnp.arange(RUN, dtype=jnp.uint16)) & 1
+            bits = (visible[:, None] >> jnp.arange(RUN, dtype=jnp.uint16)[None]) & 1
             given = given * bits[..., None].astype(given.dtype)
         return total.at[place].add(jnp.sum(given, axis=1), mode="drop")
 
@@ -161,7 +167,7 @@ def estimate_listed(
 
 def _listed(counts, dtype):
     """Pieces of work in batches [n, _BATCH]: their pixels and first samples; and the samples of each pixel."""
-    runs = np.minimum(-(-np.asarray(counts) // RUN), MOST // RUN).astype(np.int64)
+    runs = np.minimum(-(-np.asarray(counts) // RUN), MAX_POINTS // RUN).astype(np.int64)
     place = np.repeat(np.arange(len(runs), dtype=np.int32), runs)
     first = ((np.arange(len(place)) - np.repeat(np.cumsum(runs) - runs, runs)) * RUN).astype(np.int32)
     # Padding belongs to no pixel.
@@ -212,9 +218,9 @@ def _directions(part, pixels, number, place, first, seed):
     def piece(given):
         place, first = given
         _, omega_o, uv, footprint, pixel = _of(pixels, place)
-        point, shift = part.towards(omega_o, uv, footprint), shifts(pixel, seed)
+        point, rotation = part.towards(omega_o, uv, footprint), random_rotation(pixel, seed)
         count = _count(number, place)
-        return jax.vmap(lambda index: point.direction(even_numbers(index, count, shift)))(first + jnp.arange(RUN))
+        return jax.vmap(lambda index: point.direction(vogel_points(index, count, rotation)))(first + jnp.arange(RUN))
 
     return jax.lax.stop_gradient(jax.vmap(piece)((place, first)))
 

@@ -18,6 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 LEVELS = 5
@@ -87,7 +88,7 @@ class Hierarchy(eqx.Module):
     shaded: Bool[Array, "h w"]
     left: Float[Array, "h w"]
 
-    def within(self, tolerance) -> "Hierarchy":
+    def within(self, tolerance: ArrayLike) -> "Hierarchy":
         """The same with another tolerance: all of a larger error are shaded."""
         return Hierarchy(
             self.asked, self.error, self.weights, *_within(self.asked, self.error, self.weights, tolerance)
@@ -191,7 +192,7 @@ def _across(mirror):
     # Square to the second axis of the world; where that is near, to the first.
     far = jnp.abs(y) < 0.9
     right = jnp.stack([jnp.where(far, -z, 0), jnp.where(far, 0, z), jnp.where(far, x, -y)])
-    right = right / jnp.maximum(jnp.sqrt(_sum(right**2)), 1e-9)
+    right = right / jnp.maximum(jnp.sqrt(_sum(right**2)), 1e-9)[None]
     a, b, c = right
     return jnp.stack([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
 
@@ -226,7 +227,7 @@ def _between(own, parents, parent_rows, inside):
 
     def parent(given):
         corner, image, far, near_enough = given
-        rows = first + corner[:, :1] * line + corner[:, 1:]
+        rows = first[None] + corner[:, :1] * line[None] + corner[:, 1:]
         other = jnp.moveaxis(parents.at[rows].get(mode="promise_in_bounds"), -1, 0)
         # What lies between both is within reach of one of them.
         rates = jnp.where(far[:, None], other[_KIND + 4 :], other[_KIND + 1 : _KIND + 4])
@@ -235,7 +236,7 @@ def _between(own, parents, parent_rows, inside):
         most_angular, most_spatial = (jnp.maximum(*pair) for pair in ((angular, rates[0]), (spatial, rates[1])))
         square = _sum(turned**2) * most_angular**2 + _sum(moved**2) * most_spatial**2
         usable = (other[_KIND] == kind) & (_sum(turned**2) < _MOST_TURNED**2)
-        usable &= near_enough[:, None] | (level >= inside)
+        usable &= near_enough[:, None] | (level >= inside)[None]
         near = jnp.where(usable, jnp.exp(-square / _REACH**2 - image[:, None]), 0)
         return near, x, y, square, rates[2]
 
@@ -253,16 +254,16 @@ def _between(own, parents, parent_rows, inside):
 def _linear(near, x, y):
     """Σ near, weights of the value at the origin of a linear function fitted to parents, and |Σ w (x, y)|."""
     total = _sum(near)
-    share = near / jnp.where(total > _LEAST, total, 1)
+    share = near / jnp.where(total > _LEAST, total, 1)[None]
     mean_x, mean_y = _sum(share * x), _sum(share * y)
-    off_x, off_y = x - mean_x, y - mean_y
+    off_x, off_y = x - mean_x[None], y - mean_y[None]
     xx, xy, yy = (_sum(share * one * other) for one, other in ((off_x,) * 2, (off_x, off_y), (off_y,) * 2))
     # Parents along a line tell nothing across it.
     ridge = 1e-6 + 0.02 * (xx + yy)
     xx, yy = xx + ridge, yy + ridge
     determinant = xx * yy - xy**2
     slope_x, slope_y = (xy * mean_y - yy * mean_x) / determinant, (xy * mean_x - xx * mean_y) / determinant
-    weights = share * (1 + slope_x * off_x + slope_y * off_y)
+    weights = share * (1 + slope_x[None] * off_x + slope_y[None] * off_y)
     return total, weights, jnp.hypot(_sum(weights * x), _sum(weights * y))
 
 
@@ -348,9 +349,11 @@ def _passed(shaded, weights, image, joined):
     for level in _COARSE_TO_FINE:
         coarse, own = _wider(found), _new(_lattice(image, level))
 
-        def added(total, given, coarse=coarse):
-            weight, corners = given
-            return total + weight * jnp.stack([_moved(coarse, *corner) for corner in corners], axis=1), None
+        def added(total, of_parent, coarse=coarse):
+            weight, corners = of_parent
+            given = jnp.stack([_moved(coarse, *corner) for corner in corners], axis=1)
+            # Weights of all channels alike lack their axis.
+            return total + jnp.broadcast_to(weight, given.shape) * given, None
 
         given = _of_level(weights, level, (h, w)), _CORNERS
         start = jnp.zeros(own.shape, jnp.result_type(own, weights))

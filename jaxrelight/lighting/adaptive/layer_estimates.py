@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.brdf.texture import look_up
+from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.lighting.adaptive.estimate import Blocked, estimate
 from jaxrelight.lighting.adaptive.hierarchy import Features, hierarchy
 from jaxrelight.lighting.adaptive.planning import LayerEstimate
 from jaxrelight.lighting.adaptive.prediction import Prediction
-from jaxrelight.lighting.adaptive.sampled import Sampled
+from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf
 from jaxrelight.lighting.adaptive.view import AdaptiveView, scattered
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lights.pyramid import LightPyramid
+from jaxrelight.lights.environment_mipmap import EnvironmentMipmap
 
 # How noise falls is tried out on so many pixels of each component, with few and with more samples, against many.
 _TRIED, _FEW, _MORE, _EXACT = 384, 32, 256, 512
@@ -27,7 +27,11 @@ _TRIALS = -1, -2
 
 
 def estimate_layer(
-    view: AdaptiveView, weights: Sequence[Sequence], predicted, number: int, white: float
+    view: AdaptiveView,
+    weights: Sequence[Sequence[Weight]],
+    predicted: Sequence[Sequence[Prediction]],
+    number: int,
+    white: float,
 ) -> LayerEstimate:
     """What the light of the components with one number is predicted to depend on, the largest around each pixel.
 
@@ -55,8 +59,8 @@ def estimate_layer(
 
 def calibrate(
     view: AdaptiveView,
-    light: LightPyramid,
-    samplers: Sequence[Sequence[Sampled]],
+    light: EnvironmentMipmap,
+    samplers: Sequence[Sequence[SampledBrdf]],
     layers: Sequence[LayerEstimate],
     blocked: Sequence[Blocked | None],
 ) -> tuple[list[LayerEstimate], float]:
@@ -96,7 +100,9 @@ def calibrate(
     return calibrated, power
 
 
-def _try(view: AdaptiveView, light, pixels, part: Sampled, layer: LayerEstimate, number: int, blocked) -> np.ndarray:
+def _try(
+    view: AdaptiveView, light, pixels, part: SampledBrdf, layer: LayerEstimate, number: int, blocked
+) -> np.ndarray:
     """Of some pixels, error² found and expected, each of few samples and of more."""
     deviation, visible = (view.of_part(number, np.asarray(of)).astype(float) for of in (layer.deviation, layer.visible))
     real = np.flatnonzero(deviation > 0)
@@ -141,7 +147,7 @@ def _mirrored(pixels: SurfacePixels):
     return z - x - y
 
 
-def looked_up(weight, pixels: SurfacePixels) -> Float[Array, "p c"]:
+def looked_up(weight: Weight, pixels: SurfacePixels) -> Float[Array, "p c"]:
     """The weight of a component at each pixel."""
     return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
 

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.lighting.adaptive.estimate import RUN
 from jaxrelight.lighting.adaptive.hierarchy import Hierarchy
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.numerics.random_numbers import MOST
+from jaxrelight.numerics.random_numbers import MAX_POINTS
 
 # Errors between parents that are tried, and the first of them; 0 shades every pixel.
 _TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
@@ -26,20 +26,20 @@ _FIRST = 8
 _OF_PREDICTED = 0.07
 
 
-class Layer(eqx.Module):
+class LayerPlan(eqx.Module):
     """What is shaded of the components with the same number in their materials.
 
     Images may have more rows and columns than the view, in which nothing is asked for.
 
     Attributes:
-        between: where to shade, and what lies between.
+        hierarchy: where to shade, and what lies between.
         counts: samples of each pixel.
         bandwidth: that is predicted in the image, in cycles per pixel.
         deviation: in displayed values; error² of n samples is deviation² / n^power.
         power: even numbers and filtered light do better than 1 / n.
     """
 
-    between: Hierarchy
+    hierarchy: Hierarchy
     counts: Int[Array, "h w"]
     bandwidth: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
@@ -48,7 +48,7 @@ class Layer(eqx.Module):
     @property
     def error(self) -> Float[Array, "h w"]:
         """That is predicted of each pixel, in displayed values."""
-        return _error(self.between, self.counts, self.deviation, self.power)
+        return _error(self.hierarchy, self.counts, self.deviation, self.power)
 
 
 class Plan(eqx.Module):
@@ -63,7 +63,7 @@ class Plan(eqx.Module):
     """
 
     shape: tuple[int, int] = eqx.field(static=True)
-    layers: tuple[Layer, ...]
+    layers: tuple[LayerPlan, ...]
     interpolation: Float[Array, ""]
     noise: Float[Array, ""]
     shadows: bool = eqx.field(static=True)
@@ -89,7 +89,7 @@ class Plan(eqx.Module):
         layers, (rows, columns) = self.layers, self.shape
         found = {
             "bandwidth": np.max([np.asarray(layer.bandwidth) for layer in layers], axis=0),
-            "level": np.min([layer.between.levels() for layer in layers], axis=0).astype(float),
+            "level": np.min([layer.hierarchy.levels() for layer in layers], axis=0).astype(float),
             "samples": np.sum([np.asarray(layer.counts) for layer in layers], axis=0).astype(float),
             "error": np.sqrt(np.sum([np.asarray(layer.error, float) ** 2 for layer in layers], axis=0)),
         }
@@ -97,10 +97,10 @@ class Plan(eqx.Module):
 
 
 class LayerEstimate(NamedTuple):
-    """How one layer's pixels hang together, and how much of an error is seen; see `Layer` for the others."""
+    """How one layer's pixels hang together, and how much of an error is seen; see `LayerPlan` for the others."""
 
     number: int
-    between: Hierarchy
+    hierarchy: Hierarchy
     visible: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
     bandwidth: Float[Array, "h w"]
@@ -152,9 +152,9 @@ def make_plan(
         while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
             step += way
     best = tried[step]
-    counts = _counts([(layer.wanted, layer.between.shaded) for layer in best.layers], best.budget)
+    counts = _counts([(layer.wanted, layer.hierarchy.shaded) for layer in best.layers], best.budget)
     layers = [
-        Layer(layer.between, as_array(each), one.bandwidth, one.deviation, as_array(power, np.float32))
+        LayerPlan(layer.hierarchy, as_array(each), one.bandwidth, one.deviation, as_array(power, np.float32))
         for one, layer, each in zip(estimates, best.layers, counts, strict=True)
     ]
     between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
@@ -164,7 +164,7 @@ def make_plan(
 class _CandidateLayer(NamedTuple):
     """Where to shade, and what that leaves: Σ error² between, and what samples go by, pixel by pixel and in all."""
 
-    between: Hierarchy
+    hierarchy: Hierarchy
     wanted: Float[Array, "h w"]
     error: float
     spread: float
@@ -225,9 +225,9 @@ class _Candidate:
 
 
 def _candidate(estimate: LayerEstimate, tolerance: float, power: float) -> _CandidateLayer:
-    between = estimate.between.within(tolerance)
-    wanted, error, spread, shaded = _work(between, between.influence(), estimate.deviation, power)
-    return _CandidateLayer(between, wanted, float(error), float(spread), int(shaded))
+    hierarchy = estimate.hierarchy.within(tolerance)
+    wanted, error, spread, shaded = _work(hierarchy, hierarchy.influence(), estimate.deviation, power)
+    return _CandidateLayer(hierarchy, wanted, float(error), float(spread), int(shaded))
 
 
 def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
@@ -236,7 +236,7 @@ def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
     wanted = [np.asarray(of)[where].astype(float) / RUN for (of, _), where in zip(layers, shaded, strict=True)]
 
     def at(scale: float):
-        return [np.round(np.clip(scale * one, 1, MOST // RUN)) * RUN for one in wanted]
+        return [np.round(np.clip(scale * one, 1, MAX_POINTS // RUN)) * RUN for one in wanted]
 
     low, high = 0.0, 2 * budget / max(sum(float(one.sum()) for one in wanted), 1e-30)
     for _ in range(16):
@@ -249,13 +249,13 @@ def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
 
 
 @jax.jit
-def _work(between, influence, deviation, power):
+def _work(hierarchy, influence, deviation, power):
     wanted = (influence * deviation**2) ** (1 / (1 + power))
-    error = _OF_PREDICTED**2 * jnp.sum(between.left**2)
-    return wanted, error, jnp.sum(wanted), jnp.sum(between.shaded)
+    error = _OF_PREDICTED**2 * jnp.sum(hierarchy.left**2)
+    return wanted, error, jnp.sum(wanted), jnp.sum(hierarchy.shaded)
 
 
 @jax.jit
-def _error(between: Hierarchy, counts, deviation, power):
+def _error(hierarchy: Hierarchy, counts, deviation, power):
     noise = deviation**2 * jnp.maximum(counts, 1.0) ** -power
-    return jnp.sqrt(between.propagate_variance(noise) + (_OF_PREDICTED * between.left) ** 2)
+    return jnp.sqrt(hierarchy.propagate_variance(noise) + (_OF_PREDICTED * hierarchy.left) ** 2)

@@ -1,6 +1,6 @@
 """What the light of pixels will be like before they are shaded: bandwidth and noise, from few samples (Bagher 2011 §2).
 
-Every sample is a direction drawn by the BRDF, at which the environment's pyramid tells mean, square and bandwidth of
+Every sample is a direction drawn by the BRDF, at which the environment's mipmap tells mean, square and bandwidth of
 all the directions that it stands for. So few samples say what many would.
 
 Shadows are not known by bandwidth alone: where some samples of a pixel are hidden and others are not, an edge lies
@@ -17,19 +17,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.lighting.adaptive.local_bandwidth import Bandwidth, reflected, travelled
-from jaxrelight.lighting.adaptive.sampled import Sampled
+from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lights.pyramid import LightPyramid
-from jaxrelight.numerics.random_numbers import even_numbers
+from jaxrelight.lights.environment_mipmap import EnvironmentMipmap
+from jaxrelight.numerics.random_numbers import vogel_points
 
 # Pixels at a time: enough for all cores, and what is made for them nearly fits their caches.
-_TOGETHER = 8192
+_PIXEL_BATCH = 8192
 # Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
 _LEAST_DISTANCE = 1e-3
 # Textures count as so many times faster: a checked one has all its contrast at its bandwidth, where light has little.
 _OF_TEXTURES = 2.0
 # Surfaces seen more obliquely than this count as this; and mirrors turn no further from pixel to pixel.
-_LEAST_COSINE, _MOST_TURN = 0.02, 0.3
+_LEAST_COSINE, _MAX_TURN = 0.02, 0.3
 
 
 class Prediction(NamedTuple):
@@ -58,24 +58,24 @@ class Prediction(NamedTuple):
 
 
 # The same numbers for all pixels, so that neighbours differ by what they are alone.
-_SHIFT = np.full(2, 1 << 31, np.uint32)
+_ROTATION = np.full(2, 1 << 31, np.uint32)
 
 
 @eqx.filter_jit
-def draw(part: Sampled, pixels: SurfacePixels, samples: int) -> tuple[Float[Array, "p n 3"], Float[Array, "p n"]]:
+def draw(part: SampledBrdf, pixels: SurfacePixels, samples: int) -> tuple[Float[Array, "p n 3"], Float[Array, "p n"]]:
     """Directions of the samples that predict, in each pixel's frame, and their densities."""
-    numbers = even_numbers(jnp.arange(samples), jnp.asarray(samples), jnp.asarray(_SHIFT))
+    numbers = vogel_points(jnp.arange(samples), samples, jnp.asarray(_ROTATION))
 
     def one(given):
         point = part.towards(*given)
         return jax.vmap(point.direction)(numbers)
 
-    return jax.lax.map(one, (pixels.omega_o, pixels.uv, pixels.footprint), batch_size=_TOGETHER)
+    return jax.lax.map(one, (pixels.omega_o, pixels.uv, pixels.footprint), batch_size=_PIXEL_BATCH)
 
 
 @jax.jit
 def directions(
-    part: Sampled, pixels: SurfacePixels, drawn: tuple[Float[Array, "p n 3"], Float[Array, "p n"]]
+    part: SampledBrdf, pixels: SurfacePixels, drawn: tuple[Float[Array, "p n 3"], Float[Array, "p n"]]
 ) -> Float[Array, "p n 3"]:
     """What was drawn, in the world; where nothing is reflected, the normal."""
 
@@ -85,13 +85,13 @@ def directions(
         return jax.vmap(lambda *sample: _world(point.weighed(*sample).omega_i, frame))(omega_i, density)
 
     rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, *drawn
-    return jax.lax.map(one, rows, batch_size=_TOGETHER)
+    return jax.lax.map(one, rows, batch_size=_PIXEL_BATCH)
 
 
 @eqx.filter_jit
 def predict(
-    part: Sampled,
-    light: LightPyramid,
+    part: SampledBrdf,
+    light: EnvironmentMipmap,
     pixels: SurfacePixels,
     curvature: Float[Array, " p"],
     distance: Float[Array, " p"],
@@ -122,7 +122,7 @@ def predict(
         point = part.towards(omega_o, uv, footprint)
         # Mirrors turn twice as far as normals, and a pixel is longer where the surface is seen obliquely.
         turn = 2 * curvature * distance * pixel_angle * spacing / jnp.maximum(omega_o[2], _LEAST_COSINE)
-        least = jnp.minimum(turn, _MOST_TURN) ** 2
+        least = jnp.minimum(turn, _MAX_TURN) ** 2
         width = distance * pixel_angle / jnp.sqrt(jnp.maximum(omega_o[2], _LEAST_COSINE))
         texture = _OF_TEXTURES * part.texture_bandwidth(uv, footprint) / jnp.where(width > 0, width, 1)
 
@@ -176,7 +176,7 @@ def predict(
         )
 
     rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, curvature, distance, *drawn
-    return jax.lax.map(one, rows if hidden is None else (*rows, hidden), batch_size=_TOGETHER)
+    return jax.lax.map(one, rows if hidden is None else (*rows, hidden), batch_size=_PIXEL_BATCH)
 
 
 def _world(omega, frame):

@@ -22,7 +22,7 @@ from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate,
 from jaxrelight.lighting.adaptive.layer_estimates import calibrate, estimate_layer, looked_up
 from jaxrelight.lighting.adaptive.planning import Plan, make_plan
 from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw, predict
-from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
+from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
 from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
@@ -30,9 +30,9 @@ from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
 from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.environment_mipmap import EnvironmentMipmap, environment_mipmap
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.local import Directional
-from jaxrelight.lights.pyramid import LightPyramid, light_pyramid
 from jaxrelight.methods import Adaptive
 from jaxrelight.numerics.arrays import is_traced
 from jaxrelight.transport.model import SceneGeometry
@@ -46,7 +46,7 @@ DEFAULT_TOLERANCE = 0.01
 class SampledComponent(eqx.Module):
     """One BRDF of a material with what draws directions for it, and the factor on it."""
 
-    sampler: Sampled
+    sampler: SampledBrdf
     weight: Weight
 
 
@@ -74,7 +74,7 @@ def sampled_materials(
 ) -> tuple[SampledMaterial, ...]:
     """Finds what draws directions for every BRDF; seconds for one that is no sum of lobes."""
     brdfs = {id(one.brdf): one.brdf for material in materials for one in material.components}
-    samplers: dict[int, Sampled] = {}
+    samplers: dict[int, SampledBrdf] = {}
     for done, (key, brdf) in enumerate(brdfs.items()):
         if report:
             report("materials", done, len(brdfs))
@@ -94,12 +94,12 @@ class AdaptiveLight(NamedTuple):
 
     Attributes:
         environment: None for none.
-        pyramid: of it, as samples see it; its sun is the last of the groups.
+        mipmap: of it, as samples see it; its sun is the last of the groups.
         groups: local lights, and the environment's sun.
     """
 
     environment: Environment | None
-    pyramid: LightPyramid | None
+    mipmap: EnvironmentMipmap | None
     groups: tuple[LightGroup, ...]
 
 
@@ -152,11 +152,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         lights = as_lights(lights)
         if lights.environment is None:
             return AdaptiveLight(None, None, group_lights(lights.local))
-        pyramid = light_pyramid(lights.environment)
+        mipmap = environment_mipmap(lights.environment)
         # It comes from a few directions: no sample would find them.
-        shining = jnp.any(pyramid.sun.irradiance > 0, axis=1)
-        sun = LightGroup(Directional(-pyramid.sun.directions, pyramid.sun.irradiance), shining)
-        return AdaptiveLight(lights.environment, pyramid, (*group_lights(lights.local), sun))
+        shining = jnp.any(mipmap.sun.irradiance > 0, axis=1)
+        sun = LightGroup(Directional(-mipmap.sun.directions, mipmap.sun.irradiance), shining)
+        return AdaptiveLight(lights.environment, mipmap, (*group_lights(lights.local), sun))
 
     def trace(self, lit: AdaptiveLight, view: AdaptiveView, *, report: Report | None = None) -> AdaptiveTraced:
         """The plan of samples, and all shadow rays: those of samples, and towards local lights.
@@ -170,7 +170,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             InputError: inside of jit under an environment, as a plan's size follows from the light's values.
         """
         visibility = self._visibility(lit, view)
-        if lit.pyramid is None:
+        if lit.mipmap is None:
             return AdaptiveTraced(None, None, visibility)
         plan = self.plan(lit, view, report=report)
         held, view = jax.lax.stop_gradient((self, view))
@@ -215,12 +215,12 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             report: called with the progress.
         """
         if traced is None:
-            plan = None if lit.pyramid is None else self.plan(lit, view, report=report)
+            plan = None if lit.mipmap is None else self.plan(lit, view, report=report)
             traced = AdaptiveTraced(plan, None, self._visibility(lit, view))
         surfaces, plan = view.surfaces, traced.plan
         under = None
-        if plan is not None and lit.pyramid is not None:
-            under = self._by_samples(lit.pyramid, view, plan, traced.work, report)
+        if plan is not None and lit.mipmap is not None:
+            under = self._by_samples(lit.mipmap, view, plan, traced.work, report)
         direct = shade_lights(self.materials, surfaces, lit.groups, traced.visibility)
         image = image_of((under, direct, surfaces.emission(self.materials)), surfaces.covered, view.factor)
         return dataclasses.replace(image, measured={"plan": plan}) if under is not None else image
@@ -242,9 +242,9 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             view: whose pixels.
             samples: n_b of the paper.
         """
-        spacing, light = jnp.float32(2 * view.factor), _pyramid_of(lit)
+        spacing, light = jnp.float32(2 * view.factor), _mipmap_of(lit)
 
-        def of(part: Sampled, probe: Probe) -> Prediction:
+        def of(part: SampledBrdf, probe: Probe) -> Prediction:
             drawn = draw(part, probe.pixels, samples)
             given = part, light, probe.pixels, probe.curvature, probe.distance, view.pixel_angle, spacing, drawn
             if not self.method.shadows:
@@ -286,7 +286,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         return held._plan(lit, view, predicted, report)
 
     def _plan(self, lit: AdaptiveLight, view: AdaptiveView, predicted, report: Report | None) -> Plan:
-        method, light = self.method, _pyramid_of(lit)
+        method, light = self.method, _mipmap_of(lit)
         tolerance = DEFAULT_TOLERANCE if method.samples is None and method.tolerance is None else method.tolerance
         if report:
             report("plan", 0, 1)
@@ -319,7 +319,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             plan: where to shade.
             filtered: see `estimate`.
         """
-        return self._by_samples(_pyramid_of(lit), view, plan, None, None, filtered)
+        return self._by_samples(_mipmap_of(lit), view, plan, None, None, filtered)
 
     def shade_uniform(
         self, lit: AdaptiveLight, view: AdaptiveView, samples: int, *, filtered: bool = False
@@ -333,14 +333,14 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             for one in components:
                 arguments = part.pixels, counts, self.method.seed, filtered, self._blocked(view, number)
                 radiance = _weighed(
-                    one.weight, part.pixels, estimate(one.sampler, _pyramid_of(lit), *arguments), radiance
+                    one.weight, part.pixels, estimate(one.sampler, _mipmap_of(lit), *arguments), radiance
                 )
             rows.append(radiance)
         return view.surfaces.image(rows)
 
     def _by_samples(
         self,
-        light: LightPyramid,
+        light: EnvironmentMipmap,
         view: AdaptiveView,
         plan: Plan,
         work: tuple[tuple[SampleWork | None, ...], ...] | None,
@@ -365,7 +365,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
                     blocked = self._blocked(view, part)
                     radiance = estimate(sampler, light, pixels, counts, seed, filtered, blocked, heard)
                 shaded.append((part, radiance))
-            image = layer.between.interpolate(
+            image = layer.hierarchy.interpolate(
                 scattered([(view.places[part], radiance) for part, radiance in shaded], view.padded_shape)
             )
             for part, _ in shaded:
@@ -395,15 +395,15 @@ class _Progress:
     def __init__(self, report: Report, total: int):
         self._report, self._total, self._done = report, total, 0
 
-    def __call__(self, samples: int):
+    def __call__(self, samples: int) -> None:
         self._done += samples
         self._report("samples", min(self._done, self._total), self._total)
 
 
-def _pyramid_of(lit: AdaptiveLight) -> LightPyramid:
-    if lit.pyramid is None:
+def _mipmap_of(lit: AdaptiveLight) -> EnvironmentMipmap:
+    if lit.mipmap is None:
         raise InputError("adaptive shading plans samples of an environment, and the light has none")
-    return lit.pyramid
+    return lit.mipmap
 
 
 @jax.jit

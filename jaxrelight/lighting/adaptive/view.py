@@ -145,7 +145,9 @@ def _part_image(pixels: Sequence[SurfacePixels], places, shape: tuple[int, int])
 
 
 @functools.partial(jax.jit, static_argnames="shape")
-def scattered(rows, shape: tuple[int, int]) -> Float[Array, "h w c"]:
+def scattered(
+    rows: Sequence[tuple[Int[Array, " p"], Float[Array, "p c"]]], shape: tuple[int, int]
+) -> Float[Array, "h w c"]:
     """The image of what pixels have, whose numbers come with it; 0 elsewhere."""
     image = jnp.zeros((math.prod(shape), rows[0][1].shape[1]), rows[0][1].dtype)
     for place, row in rows:

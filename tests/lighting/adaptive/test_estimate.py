@@ -30,11 +30,11 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.sampling import directional_albedo
 from jaxrelight.lighting.adaptive import estimate as estimating
 from jaxrelight.lighting.adaptive.estimate import RUN, estimate, estimate_listed, list_work
-from jaxrelight.lighting.adaptive.sampled import Sampled, sampled
+from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lights.pyramid import LightPyramid, cells, light_pyramid
+from jaxrelight.lights.environment_mipmap import EnvironmentMipmap, cells, environment_mipmap
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.numerics.random_numbers import MOST
+from jaxrelight.numerics.random_numbers import MAX_POINTS
 
 CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 12, 10)
 # All maps have one size, and most BRDFs one lobe: what is compiled for one of them serves the others.
@@ -66,13 +66,13 @@ def view() -> View:
 
 
 @functools.cache
-def sky(constant: bool = False) -> LightPyramid:
+def sky(constant: bool = False) -> EnvironmentMipmap:
     return light_of(np.ones((8, 16, 3)) if constant else np.random.default_rng(0).random((8, 16, 3)) ** 4)
 
 
-def light_of(pixels: np.ndarray) -> LightPyramid:
+def light_of(pixels: np.ndarray) -> EnvironmentMipmap:
     times = ROWS // len(pixels)
-    return light_pyramid(environment(np.kron(pixels, np.ones((times, times, 1))).astype(np.float32)))
+    return environment_mipmap(environment(np.kron(pixels, np.ones((times, times, 1))).astype(np.float32)))
 
 
 def counts(of: int) -> np.ndarray:
@@ -139,7 +139,7 @@ def test_seeds_and_counts():
     np.testing.assert_allclose(found[mixed == 2 * RUN], one[mixed == 2 * RUN], rtol=1e-5)
     assert not found[mixed == 0].any()
     # More than there are numbers count as those.
-    few = np.where(np.arange(len(view().real)) == np.flatnonzero(view().real)[0], 2 * MOST, 0)
+    few = np.where(np.arange(len(view().real)) == np.flatnonzero(view().real)[0], 2 * MAX_POINTS, 0)
     assert np.isfinite(estimate(part, sky(), pixels, few)).all()
 
 
@@ -209,7 +209,7 @@ def test_listed_work_is_linear_in_light_inside_of_jit():
     part, pixels = sampled(MATT), view().pixels
     work = list_work(part, pixels, counts(RUN), blocked=below)
 
-    def lit(values) -> LightPyramid:
+    def lit(values) -> EnvironmentMipmap:
         return eqx.tree_at(lambda of: of.radiance.values, sky(), values)
 
     def listed(values):
@@ -235,7 +235,7 @@ def test_gradients_are_those_of_differences():
     number = np.zeros(len(pixels.pixel), int)
     number[:6] = RUN
     base = np.random.default_rng(0).random((8, 16, 3))
-    light = light_pyramid(environment(base))
+    light = environment_mipmap(environment(base))
     base_brdf = phong(0.2, 0.5, 20.0)
     half = half_vectors(base_brdf)
 
@@ -244,7 +244,7 @@ def test_gradients_are_those_of_differences():
     def total(sky, diffuse, scale, exponent):
         brdf = LobeSum(diffuse, base_brdf.C, exponent, scale)
         lit = eqx.tree_at(lambda of: of.radiance, light, cells(sky))
-        return jnp.sum(estimate(Sampled(brdf, half), lit, pixels, number))
+        return jnp.sum(estimate(SampledBrdf(brdf, half), lit, pixels, number))
 
     parameters = (base_brdf.diffuse, base_brdf.scale, base_brdf.exponent)
     given = [np.asarray(x, np.float64) for x in (base, *parameters)]
@@ -261,7 +261,7 @@ def test_gradients_are_those_of_differences():
 def test_cells_are_as_large_as_what_samples_stand_for(monkeypatch):
     """Far larger ones blur, and far smaller ones are noisy."""
     light, part = light_of(np.random.default_rng(2).random((8, 16, 3)) ** 4), sampled(phong(0.0, 0.5, 40))
-    wanted = np.asarray(estimate(part, light, view().pixels, counts(MOST), 1))
+    wanted = np.asarray(estimate(part, light, view().pixels, counts(MAX_POINTS), 1))
     covered, compiled, off = estimating._COVERED, cast(Any, estimating._added), []
     for share in (1, 8, 1 / 64):
         monkeypatch.setattr(estimating, "_COVERED", covered * share)

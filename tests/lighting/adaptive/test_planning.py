@@ -38,7 +38,7 @@ def test_budgets_are_kept(samples: int):
     assert 0.8 * samples < found.samples / PIXELS < 1.05 * samples
     counts = np.asarray(found.layers[0].counts)
     assert (counts % RUN == 0).all()
-    assert ((counts > 0) == np.asarray(found.layers[0].between.shaded)).all()
+    assert ((counts > 0) == np.asarray(found.layers[0].hierarchy.shaded)).all()
     assert found.shaded == (counts > 0).sum()
 
 

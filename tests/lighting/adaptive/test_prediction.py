@@ -9,9 +9,9 @@ import pytest
 
 from jaxrelight import Camera, Part, Prefiltered, Scene, environment, lambert, phong, prepare, sphere
 from jaxrelight.lighting.adaptive.prediction import draw, predict
-from jaxrelight.lighting.adaptive.sampled import sampled
+from jaxrelight.lighting.adaptive.sampled_brdf import sampled
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lights.pyramid import light_pyramid
+from jaxrelight.lights.environment_mipmap import environment_mipmap
 from jaxrelight.numerics.arrays import as_array
 
 CAMERA = Camera((0.0, 0.0, 4.0), (0.0, 0.0, 0.0), fov_y=32.0, width=32, height=32)
@@ -35,7 +35,7 @@ def sky(columns) -> np.ndarray:
 
 
 def predicted(columns, exponent: float, spacing: float = 2.0, hidden=None):
-    light = light_pyramid(environment(sky(columns).astype(np.float32)))
+    light = environment_mipmap(environment(sky(columns).astype(np.float32)))
     count = len(pixels().pixel)
     angle = np.sqrt(CAMERA.solid_angles().max())
     bend, far, angle, step = (as_array(of, np.float32) for of in (np.ones(count), np.full(count, 3), angle, spacing))
@@ -117,7 +117,7 @@ def test_maps_of_lobes_add_their_own_bandwidth():
             Texture(as_array(np.full((8, 8, 1), varied), np.float32)),
             is_leaf=lambda of: of is None,
         )
-        light = light_pyramid(environment(sky(np.ones(2 * ROWS)).astype(np.float32)))
+        light = environment_mipmap(environment(sky(np.ones(2 * ROWS)).astype(np.float32)))
         count = len(pixels().pixel)
         given = eqx.tree_at(lambda of: of.footprint, pixels(), np.full(count, 1e-3, np.float32))
         drawn = draw(mapped, given, 16)

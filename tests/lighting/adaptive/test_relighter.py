@@ -27,8 +27,8 @@ from jaxrelight.lighting.adaptive.view import AdaptiveView
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import group_lights, trace_visibility
+from jaxrelight.lights.environment_mipmap import cells
 from jaxrelight.lights.local import directional, point
-from jaxrelight.lights.pyramid import cells
 from jaxrelight.numerics.arrays import as_array
 
 CAMERA = Camera((0.2, 1.2, 3.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 40.0, 48, 40)
@@ -312,7 +312,7 @@ def test_gradients_are_finite_and_descend():
     @jax.jit
     @functools.partial(jax.value_and_grad, argnums=(0, 1))
     def loss(pixels, brdf):
-        lit = eqx.tree_at(lambda of: of.pyramid.radiance, sky(), cells(pixels))
+        lit = eqx.tree_at(lambda of: of.mipmap.radiance, sky(), cells(pixels))
         other = eqx.tree_at(lambda of: of.sampled_materials[0].components[0].sampler.brdf, relighter, brdf)
         return jnp.mean((other.shade(lit, mine, traced).radiance - 0.1) ** 2)
 

@@ -1,4 +1,4 @@
-"""An environment's pyramid: means by solid angle, what is looked up, and bandwidth."""
+"""An environment's mipmap: means by solid angle, what is looked up, and bandwidth."""
 
 import functools
 
@@ -9,7 +9,7 @@ import pytest
 
 from jaxrelight import environment
 from jaxrelight.basis import latlong
-from jaxrelight.lights.pyramid import cells, light_bandwidth, light_pyramid
+from jaxrelight.lights.environment_mipmap import cells, environment_mipmap, light_bandwidth
 
 _RANDOM = np.random.default_rng(1).normal(size=(200, 3))
 DIRECTIONS = (_RANDOM / np.linalg.norm(_RANDOM, axis=1, keepdims=True)).astype(np.float32)
@@ -48,7 +48,7 @@ def places() -> tuple[np.ndarray, np.ndarray]:
 def test_small_cells_are_pixels():
     pixels = noise(16)
     wanted = jax.jit(latlong.look_up)(pixels, *places())
-    light = light_pyramid(environment(pixels))
+    light = environment_mipmap(environment(pixels))
     np.testing.assert_array_equal(found(light, None), wanted)
     np.testing.assert_array_equal(found(light, 1e-9), wanted)
 
@@ -79,7 +79,7 @@ def test_channels_are_looked_up_apart(solid_angle: float | None):
 @pytest.mark.parametrize("rows", [1, 2, 12, 64])
 @pytest.mark.parametrize("solid_angle", [1e-6, 1e-2, 0.3, 20])
 def test_a_constant_sky_is_constant(rows: int, solid_angle: float):
-    light = light_pyramid(environment(np.full((rows, 2 * rows, 3), 0.7, np.float32)))
+    light = environment_mipmap(environment(np.full((rows, 2 * rows, 3), 0.7, np.float32)))
     np.testing.assert_allclose(found(light, solid_angle), 0.7, rtol=1e-5)
     mean, square, bandwidth = _details(light, np.float32(solid_angle))
     np.testing.assert_allclose(mean, 0.7, rtol=1e-5)
@@ -104,9 +104,9 @@ def test_cells_are_as_wide_as_is_asked(solid_angle: float):
 
 def test_turning_is_a_turn_of_the_map():
     pixels = noise(16)
-    quarter = light_pyramid(environment(pixels, rotate_y=90))
+    quarter = environment_mipmap(environment(pixels, rotate_y=90))
     turned = np.asarray(jax.jit(latlong.rotate)(pixels, np.float32(90)))
-    np.testing.assert_array_equal(found(quarter, None), found(light_pyramid(environment(turned)), None))
+    np.testing.assert_array_equal(found(quarter, None), found(environment_mipmap(environment(turned)), None))
 
 
 def test_waves_have_their_bandwidth():
@@ -133,7 +133,7 @@ def test_differentiable_in_pixels():
 def test_a_sun_is_split_off_and_turns_with_the_map(degrees: float):
     pixels = noise(128)
     pixels[40, 100] = 1e5
-    light = light_pyramid(environment(pixels, rotate_y=degrees))
+    light = environment_mipmap(environment(pixels, rotate_y=degrees))
     sun = light.sun
     towards = np.asarray(sun.irradiance).sum(axis=1) @ np.asarray(sun.directions)
     towards /= np.linalg.norm(towards)

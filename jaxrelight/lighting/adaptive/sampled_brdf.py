@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrelight.brdf.bandwidth import BandwidthTable, bandwidth_table, lobe_bandwidth, texture_bandwidth, with_cosine
 from jaxrelight.brdf.contract import Brdf
@@ -16,7 +16,7 @@ from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import Texture
 
 
-class Sampled(eqx.Module):
+class SampledBrdf(eqx.Module):
     """A BRDF, or one for every texel, and what draws directions for it.
 
     Attributes:
@@ -31,7 +31,7 @@ class Sampled(eqx.Module):
     table: BandwidthTable | None = None
     map: Texture | None = None
 
-    def towards(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Float[Array, ""]) -> "TowardsEye":
+    def towards(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Float[Array, ""]) -> "BrdfSampler":
         """What one point reflects to the eye."""
         brdf = self.brdf.at(uv, footprint) if isinstance(self.brdf, PackedLobes) else self.brdf
         above = omega_o[2] > 0
@@ -41,7 +41,7 @@ class Sampled(eqx.Module):
         else:
             assert isinstance(brdf, LobeSum)
             sampler = LobeSampler(brdf, omega_o)
-        return TowardsEye(self, brdf, jax.lax.stop_gradient(sampler), omega_o, above)
+        return BrdfSampler(self, brdf, jax.lax.stop_gradient(sampler), omega_o, above)
 
     def texture_bandwidth(self, uv: Float[Array, "2"], footprint: Float[Array, ""]) -> Float[Array, ""]:
         """With which the BRDF itself varies from pixel to pixel, in cycles per pixel; 0 where it is one for all."""
@@ -52,7 +52,7 @@ class Sampled(eqx.Module):
         return jnp.minimum(self.map.look_up(uv)[0] * across, 0.5)
 
 
-class Drawn(NamedTuple):
+class BrdfSample(NamedTuple):
     """A sample.
 
     Attributes:
@@ -66,16 +66,16 @@ class Drawn(NamedTuple):
     solid_angle: Float[Array, ""]
 
 
-class TowardsEye(eqx.Module):
-    """`Sampled` at one point and one direction to the eye."""
+class BrdfSampler(eqx.Module):
+    """`SampledBrdf` at one point and one direction to the eye."""
 
-    sampled: Sampled
+    sampled: SampledBrdf
     brdf: Brdf
     sampler: LobeSampler | HalfVectorSampler
     omega_o: Float[Array, "3"]
-    above: Float[Array, ""]
+    above: Bool[Array, ""]
 
-    def draw(self, numbers: Float[Array, "2"]) -> Drawn:
+    def draw(self, numbers: Float[Array, "2"]) -> BrdfSample:
         """The sample of two numbers from 0 to 1. Where it lies, and its density, stand still in derivatives."""
         return self.weighed(*self.direction(numbers))
 
@@ -83,13 +83,13 @@ class TowardsEye(eqx.Module):
         """A sample's direction and density, which may reflect nothing."""
         return jax.lax.stop_gradient(self.sampler.drawn(*numbers))
 
-    def weighed(self, omega_i: Float[Array, "3"], density: Float[Array, ""]) -> Drawn:
+    def weighed(self, omega_i: Float[Array, "3"], density: Float[Array, ""]) -> BrdfSample:
         """The sample of a direction."""
         lit = self.above & (omega_i[2] > 0) & (density > 0)
         omega_i = jnp.where(lit, omega_i, jnp.asarray([0, 0, 1], omega_i.dtype))
         density = jnp.where(lit, density, 1)
         weight = jnp.where(lit, self.brdf.evaluate(omega_i, self.omega_o) * omega_i[2] / density, 0)
-        return Drawn(omega_i, weight, 1 / density)
+        return BrdfSample(omega_i, weight, 1 / density)
 
     def bandwidth(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """With which f · cosθ_i varies, in cycles per radian."""
@@ -99,10 +99,10 @@ class TowardsEye(eqx.Module):
         return with_cosine(lobe_bandwidth(self.brdf, omega_i, self.omega_o))
 
 
-def sampled(brdf: Brdf | PackedLobes) -> Sampled:
+def sampled(brdf: Brdf | PackedLobes) -> SampledBrdf:
     """Finds what draws directions for a BRDF, and its bandwidth; seconds for one that is no sum of lobes."""
     if isinstance(brdf, LobeSum):
-        return Sampled(brdf)
+        return SampledBrdf(brdf)
     if isinstance(brdf, PackedLobes):
-        return Sampled(brdf, map=texture_bandwidth(brdf))
-    return Sampled(brdf, half_vectors(brdf), bandwidth_table(brdf))
+        return SampledBrdf(brdf, map=texture_bandwidth(brdf))
+    return SampledBrdf(brdf, half_vectors(brdf), bandwidth_table(brdf))
