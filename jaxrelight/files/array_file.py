@@ -35,9 +35,9 @@ def check_arrays(label: str, content: bytes) -> None:
     """
     if len(content) < 5 or zlib.crc32(memoryview(content)[4:]) != int.from_bytes(content[:4], "little"):
         raise ValueError("its checksum is wrong")
-    found = json.loads(content[4 : content.index(b"\n", 4)])["label"]
-    if found != label:
-        raise ValueError(f"it holds '{found}'")
+    stored_label = json.loads(content[4 : content.index(b"\n", 4)])["label"]
+    if stored_label != label:
+        raise ValueError(f"it holds '{stored_label}'")
 
 
 def decode_arrays(

@@ -37,10 +37,10 @@ def register(cls: Class) -> Class:
     Raises:
         InputError: if it is no class of Equinox modules, as BRDFs and lights are.
     """
-    given: Any = cls
-    if not (isinstance(given, type) and issubclass(given, eqx.Module)):
+    candidate: Any = cls
+    if not (isinstance(candidate, type) and issubclass(candidate, eqx.Module)):
         raise InputError(f"{cls!r} is no class of BRDFs or lights; derive it from Brdf or Light")
-    _seen[qualified_name(given)] = given
+    _seen[qualified_name(candidate)] = candidate
     return cls
 
 
@@ -66,37 +66,37 @@ def find_class(name: str, base: type | tuple[type, ...], what: str) -> type:
     """The class of a qualified name.
 
     Args:
-        name: of it.
-        base: what it must derive from.
+        name: the qualified name.
+        base: what the class must derive from.
         what: what messages call the object, as in "the store's light 2".
 
     Raises:
-        InputError: if its module is not imported, or has no such class, or one of something else.
+        InputError: if its module is not imported, has no such class, or its class does not derive from the base.
     """
     module, _, path = name.partition(":")
-    found: Any = sys.modules.get(module)
+    candidate: Any = sys.modules.get(module)
     for part in path.split("."):
         # No attribute look-up: a module's or a class's own could run code.
-        found = vars(found).get(part) if isinstance(found, types.ModuleType | type) else None
-    found = _seen.get(name) if found is None else found
-    said = f"{what} is of the class '{path}' of the module '{module}'"
+        candidate = vars(candidate).get(part) if isinstance(candidate, types.ModuleType | type) else None
+    candidate = _seen.get(name) if candidate is None else candidate
+    description = f"{what} is of the class '{path}' of the module '{module}'"
     if not path:
         raise InputError(f"{what} is of the kind '{name}', which is not known; run precompute again")
-    if found is None and (module == "__main__" or "<locals>" in path):
+    if candidate is None and (module == "__main__" or "<locals>" in path):
         raise InputError(
             f"{what} is of the class '{path}', which a script, a notebook or a function defined; define it here, too, "
             "and give it to jaxrelight.brdf.record.register before the store is opened"
         )
-    if found is None and module in sys.modules:
-        raise InputError(f"{said}, which has no such class; restore it, or run precompute again")
-    if found is None:
+    if candidate is None and module in sys.modules:
+        raise InputError(f"{description}, which has no such class; restore it, or run precompute again")
+    if candidate is None:
         raise InputError(
-            f"{said}, which is not imported, and a store does not import modules, since that runs their code; "
+            f"{description}, which is not imported, and a store does not import modules, since that runs their code; "
             f"import {module} before the store is opened, on the command line by --import {module}"
         )
-    if not (isinstance(found, type) and issubclass(found, base)) or inspect.isabstract(found):
-        raise InputError(f"{said}, which cannot be one of what a store holds there; run precompute again")
-    return found
+    if not (isinstance(candidate, type) and issubclass(candidate, base)) or inspect.isabstract(candidate):
+        raise InputError(f"{description}, which cannot be one of what a store holds there; run precompute again")
+    return candidate
 
 
 def to_fields(module: eqx.Module, what: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -163,11 +163,11 @@ class Layer:
             InputError: if what is on disk is not what was written.
         """
         names = list(self.arrays) if names is None else list(names)
-        whole = {name: np.empty((self.groups, *self.arrays[name][0]), self.arrays[name][1]) for name in names}
+        contents = {name: np.empty((self.groups, *self.arrays[name][0]), self.arrays[name][1]) for name in names}
         for group in range(self.groups):
             for name, part in self._read(group, names).items():
-                whole[name][group] = part
-        return whole
+                contents[name][group] = part
+        return contents
 
     def check(self) -> None:
         """Reads every file, so that damage is found wherever it is.
@@ -291,10 +291,10 @@ def read_header(folder: pathlib.Path) -> dict:
     if header is not None and header["format"] == FORMAT:
         return header
     with contextlib.suppress(OSError, ValueError, AttributeError):
-        found = json.loads(path.read_bytes()).get("format")
-        if found != FORMAT:
+        stored_format = json.loads(path.read_bytes()).get("format")
+        if stored_format != FORMAT:
             raise InputError(
-                f"{path}: format {found} is not format {FORMAT}, which this version reads; precompute again"
+                f"{path}: format {stored_format} is not format {FORMAT}, which this version reads; precompute again"
             )
     raise InputError(f"{path}: damaged; run precompute again, finished layers will be reused")
 
