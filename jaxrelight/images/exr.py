@@ -131,17 +131,17 @@ def write_channels(path: Path, parts: Sequence[tuple[str, dict[str, np.ndarray]]
     """
     import OpenEXR
 
-    made = []
+    file_parts = []
     heights, widths = zip(*(plane.shape for _, channels in parts for plane in channels.values()), strict=True)
     window = np.zeros(2, np.int32), np.array([max(widths) - 1, max(heights) - 1], np.int32)
     for name, channels in parts:
         planes = {channel: np.ascontiguousarray(plane) for channel, plane in channels.items()}
         header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "name": name}
         header["displayWindow"] = window
-        made.append(OpenEXR.Part(header, planes, name))
+        file_parts.append(OpenEXR.Part(header, planes, name))
     try:
         with _quiet():
-            OpenEXR.File(made).write(str(path))
+            OpenEXR.File(file_parts).write(str(path))
     except Exception as fault:  # the library has no exception type of its own
         raise OSError(str(fault).strip().split('". ')[-1]) from fault
 
@@ -243,7 +243,7 @@ def _check_table(path: Path, head: bytes, file_size: int) -> None:
 
 def _attributes(head: bytes, at: int) -> tuple[dict[str, bytes], int]:
     """Content of the attributes of a header, by name and type, and where it ends: at an attribute without a name."""
-    found = {}
+    attributes = {}
     while head[at] != 0:
         name_end = head.index(b"\0", at)
         kind_end = head.index(b"\0", name_end + 1)
@@ -251,9 +251,9 @@ def _attributes(head: bytes, at: int) -> tuple[dict[str, bytes], int]:
         start = kind_end + 5
         if not 0 <= size <= len(head) - start:
             raise ValueError("an attribute is longer than the file")
-        found[head[at:kind_end].decode("latin-1")] = head[start : start + size]
+        attributes[head[at:kind_end].decode("latin-1")] = head[start : start + size]
         at = start + size
-    return found, at + 1
+    return attributes, at + 1
 
 
 def _chunk_count(header: dict[str, bytes]) -> int | None:
@@ -276,8 +276,8 @@ def _choose_part(path: Path, names_by_part: Sequence[Sequence[str]]) -> tuple[in
     for number, names in enumerate(names_by_part):
         if chosen := _choose_channels(path, names):
             return number, chosen
-    found = _listed([name for names in names_by_part for name in names])
-    raise InputError(f"{path}: no colours among the channels {found}; export R, G, B or Y")
+    listing = _listed([name for names in names_by_part for name in names])
+    raise InputError(f"{path}: no colours among the channels {listing}; export R, G, B or Y")
 
 
 def _choose_channels(path: Path, names: Sequence[str]) -> list[str] | None:

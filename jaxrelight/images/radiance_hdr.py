@@ -38,22 +38,22 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
     try:
         scale, primaries, at = _read_header(data)
         line_end = data.find(b"\n", at, at + 80)
-        found = _RESOLUTION.fullmatch(data[at:line_end]) if line_end >= 0 else None
-        if found is None or found[2] == found[5]:
+        resolution = _RESOLUTION.fullmatch(data[at:line_end]) if line_end >= 0 else None
+        if resolution is None or resolution[2] == resolution[5]:
             raise _FormatError("has no resolution line such as '-Y 512 +X 1024'")
-        count, length = int(found[3]), int(found[6])
+        count, length = int(resolution[3]), int(resolution[6])
         if not 0 < count * length <= max_pixels:
             raise _FormatError(f"claims {length}x{count} pixels, while 1 to {max_pixels} are allowed")
         rgbe = _read_scanlines(data, line_end + 1, count, length)
     except _FormatError as fault:
         raise InputError(f"{name}: this Radiance file {fault}; export or copy it again") from None
 
-    # the first axis runs along found[2], in the direction of its sign; ours run down and right, which is -Y and +X
-    if found[1] + found[2] in (b"+Y", b"-X"):
+    # the first axis runs along resolution[2], in the direction of its sign; ours run down and right, which is -Y and +X
+    if resolution[1] + resolution[2] in (b"+Y", b"-X"):
         rgbe = rgbe[::-1]
-    if found[4] + found[5] in (b"+Y", b"-X"):
+    if resolution[4] + resolution[5] in (b"+Y", b"-X"):
         rgbe = rgbe[:, ::-1]
-    if found[2] == b"X":
+    if resolution[2] == b"X":
         rgbe = rgbe.swapaxes(0, 1)
     exponents = np.where(rgbe[..., 3] > 0, rgbe[..., 3].astype(np.int32) - 136, -1000)  # e = 0 is black
     pixels = np.ldexp(rgbe[..., :3].astype(np.float32), exponents[..., None])
