@@ -99,28 +99,28 @@ class Clustered(Operator):
 
     def supports(self) -> list[Int[np.ndarray, " s"]]:
         """The coefficients of each group, on the host; none where it holds nothing."""
-        found: list[np.ndarray] = [np.zeros(0, int)] * len(self.place)
+        supports: list[np.ndarray] = [np.zeros(0, int)] * len(self.place)
         for part in self.buckets:
             for group, support in zip(np.asarray(part.groups), np.asarray(part.support), strict=True):
                 # Ascending, then filled up with zeros.
-                found[group] = support[: 1 + np.count_nonzero(support[1:])].astype(int)
-        return found
+                supports[group] = support[: 1 + np.count_nonzero(support[1:])].astype(int)
+        return supports
 
     def clusters(self) -> list[Cluster]:
         """Each group by itself, on the host, in floating point and without filling."""
         nothing = np.zeros((0, 0), np.float32), np.zeros((self.channels, 0, self.group_rows), np.float32)
         supports = self.supports()
-        found = [Cluster(support, *nothing) for support in supports]
+        clusters = [Cluster(support, *nothing) for support in supports]
         for part in self.buckets:
             basis, weights = (
                 np.asarray(_basis_of(part, jnp.arange(len(part.groups)))),
                 np.asarray(decoded(part.weights)),
             )
             for i, group in enumerate(np.asarray(part.groups)):
-                mine = basis[i, :, : len(supports[group])]
-                used = mine.any(axis=1)
-                found[group] = Cluster(supports[group], mine[used], weights[i][:, used])
-        return found
+                group_basis = basis[i, :, : len(supports[group])]
+                used = group_basis.any(axis=1)
+                clusters[group] = Cluster(supports[group], group_basis[used], weights[i][:, used])
+        return clusters
 
     @jax.jit
     def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
@@ -171,16 +171,16 @@ class Clustered(Operator):
         """
         channels = radiance.shape[1]
         by_group = jnp.moveaxis(radiance.reshape(-1, self.group_rows, channels), 2, 1)
-        found = []
+        products = []
         for part in self.buckets:
-            mine = by_group.at[part.groups].get(mode="promise_in_bounds")
-            back = _mixtures(_of_one_channel(part.basis), _products(part.weights, mine))
-            found.append(jnp.moveaxis(back, 1, 0).reshape(channels, -1))
-        held = jnp.concatenate([*found, jnp.zeros((channels, 1), radiance.dtype)], axis=1)
+            group_radiance = by_group.at[part.groups].get(mode="promise_in_bounds")
+            back = _mixtures(_of_one_channel(part.basis), _products(part.weights, group_radiance))
+            products.append(jnp.moveaxis(back, 1, 0).reshape(channels, -1))
+        held = jnp.concatenate([*products, jnp.zeros((channels, 1), radiance.dtype)], axis=1)
         return jnp.stack([self._sums(held[c]) for c in range(channels)], axis=-1)
 
     def _sums(self, held: Float[Array, " e"]) -> Float[Array, " d"]:
-        """Of every column what its holders hold; as products with ones, see `SparseRows`."""
+        """Sums what the holders of every column hold, as products with ones; see `SparseRows`."""
         sums = []
         for places in self.holders:
             gathered = held.at[places].get(mode="promise_in_bounds")
@@ -190,15 +190,15 @@ class Clustered(Operator):
 
     @jax.jit
     def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """Rows are zero off their group's coefficients. Looks into every bucket for every row."""
+        """Rows are zero off their group's coefficients. Every row is looked up in every bucket."""
         place, row = self.place[indices // self.group_rows], indices % self.group_rows
         out, start = jnp.zeros((len(indices), self.channels, self.columns), self._dtype), 0
         for part in self.buckets:
             b = len(part.groups)
-            mine, i = (place >= start) & (place < start + b), jnp.clip(place - start, 0, b - 1)
+            in_bucket, i = (place >= start) & (place < start + b), jnp.clip(place - start, 0, b - 1)
             values = jnp.einsum("icq,iqs->ics", _weights_of(part, i, row), _basis_of(part, i), precision="highest")
             written = jax.vmap(lambda support, v: jnp.zeros((v.shape[0], self.columns), v.dtype).at[:, support].add(v))
-            out = jnp.where(mine[:, None, None], written(part.support[i].astype(jnp.int32), values), out)
+            out = jnp.where(in_bucket[:, None, None], written(part.support[i].astype(jnp.int32), values), out)
             start += b
         return out
 
@@ -206,16 +206,16 @@ class Clustered(Operator):
 def _by_channel(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c"]:
     """The rows' radiance, channels apart: products with vectors read matrices at the speed of memory."""
     support = part.support.astype(jnp.int32)
-    found = [light[:, c].at[support].get(mode="promise_in_bounds") for c in range(light.shape[1])]
-    shared = _products(_of_one_channel(part.basis), jnp.stack(found, axis=1))
+    gathered = [light[:, c].at[support].get(mode="promise_in_bounds") for c in range(light.shape[1])]
+    shared = _products(_of_one_channel(part.basis), jnp.stack(gathered, axis=1))
     return jnp.moveaxis(_mixtures(part.weights, shared), 1, 2)
 
 
 def _at_once(part: Bucket, lights: Float[Array, "d cn"], channels: int) -> Float[Array, "n r c"]:
     """Radiance of the rows of one group, a bucket without its first axis, under many lights."""
     basis = decoded(part.basis)
-    found = lights.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
-    shared = jnp.matmul(basis, found, precision="highest").reshape(len(basis), channels, -1)
+    gathered = lights.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
+    shared = jnp.matmul(basis, gathered, precision="highest").reshape(len(basis), channels, -1)
     weights = decoded(part.weights)
     if len(weights) == 1:
         mixed = jnp.einsum("qcl,qr->clr", shared, weights[0], precision="highest")
@@ -288,13 +288,13 @@ def clustered(clusters: Sequence[Cluster], columns: int) -> Clustered:
         b = len(groups)
         support = np.zeros((b, s), smallest_index_type(columns))
         basis, weights = np.zeros((b, q, s), np.float32), np.zeros((b, c, q, r), np.float32)
-        # Filling is of no column.
+        # Padding belongs to no column.
         column = np.full((b, s), columns)
         for i, group in enumerate(sorted(groups)):
-            found = clusters[group]
-            n, m = len(found.support), len(found.basis)
-            support[i, :n], basis[i, :m, :n], weights[i, :, :m] = found
-            column[i, :n] = found.support
+            source = clusters[group]
+            n, m = len(source.support), len(source.basis)
+            support[i, :n], basis[i, :m, :n], weights[i, :, :m] = source
+            column[i, :n] = source.support
             place[group] = start + i
         held.append(column.reshape(-1))
         buckets.append(Bucket(*jax.device_put((np.array(sorted(groups), np.int32), support, basis, weights))))
@@ -343,11 +343,11 @@ def _joined(members: dict[tuple[int, int], list[int]], width: int) -> dict[tuple
         both = np.add.outer(count, count) * np.maximum.outer(q, q) * (np.maximum.outer(s, s) + width)
         filling = both - np.add.outer(count * q * (s + width), count * q * (s + width))
         filling[np.diag_indices(len(s))] = np.iinfo(filling.dtype).max
-        one, two = np.unravel_index(np.argmin(filling), filling.shape)
-        if filling[one, two] > _FILLING:
+        first, second = np.unravel_index(np.argmin(filling), filling.shape)
+        if filling[first, second] > _FILLING:
             break
-        groups = members.pop(sizes[one]) + members.pop(sizes[two])
-        members[int(max(s[one], s[two])), int(max(q[one], q[two]))] += groups
+        groups = members.pop(sizes[first]) + members.pop(sizes[second])
+        members[int(max(s[first], s[second])), int(max(q[first], q[second]))] += groups
     return members
 
 
@@ -374,23 +374,23 @@ def find_holders(
     width = np.where(most > 0, 1 << np.ceil(np.log2(np.maximum(most, 1))).astype(int), 0)
     holders, column_place, start = [], np.full(columns, -1, np.int32), 0
     for n in np.unique(width[width > 0]):
-        mine = np.flatnonzero(width == n)
-        nth = np.arange(most[mine].max())
-        places = order[np.minimum(first[mine, None] + nth, len(held) - 1)]
-        holders.append(np.where(nth < count[mine, None], places, np.int32(len(held))))
-        column_place[mine] = start + np.arange(len(mine))
-        start += len(mine)
+        of_width = np.flatnonzero(width == n)
+        nth = np.arange(most[of_width].max())
+        places = order[np.minimum(first[of_width, None] + nth, len(held) - 1)]
+        holders.append(np.where(nth < count[of_width, None], places, np.int32(len(held))))
+        column_place[of_width] = start + np.arange(len(of_width))
+        start += len(of_width)
     column_place[column_place < 0] = start
     return tuple(holders), column_place
 
 
 def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) -> list[Cluster]:
-    """Clusters of rows that each have coefficients of their own, as near to them as a tolerance."""
+    """Clusters rows that each have coefficients of their own; the clusters are as near to them as the tolerance."""
     n = operator.indices.shape[-1]
     indices = np.asarray(operator.indices).reshape(-1, n)[: operator.row_count].reshape(-1, group_rows, n)
     values = [np.asarray(decoded(channel)).reshape(-1, n)[: operator.row_count] for channel in operator.values]
     by_group = np.stack(values, axis=1).reshape(len(indices), group_rows, len(values), n)
-    found = []
+    clusters = []
     for kept, coefficients in zip(indices, by_group, strict=True):
         columns, place = np.unique(kept, return_inverse=True)
         rows = np.zeros((*coefficients.shape[:2], len(columns)), np.float32)
@@ -398,8 +398,8 @@ def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) 
             rows, np.broadcast_to(place.reshape(kept.shape)[:, None], coefficients.shape), coefficients, 2
         )
         (support, basis, weights), _ = cluster(rows, np.ones(len(columns), np.float32), tolerance)
-        found.append(Cluster(columns[support], basis, weights))
-    return found
+        clusters.append(Cluster(columns[support], basis, weights))
+    return clusters
 
 
 def cluster(

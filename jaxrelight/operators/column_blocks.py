@@ -14,28 +14,28 @@ from jaxrelight.operators.clustered import Cluster
 from jaxrelight.operators.contract import check_light
 from jaxrelight.operators.quantised import Quantised, quantised
 
-# Blocks of a group that are added up at once: what is left over is filled up with blocks of nothing.
+# This many blocks of a group are added up at once; where fewer are left over, empty blocks fill up.
 _BLOCKS_PER_SUM = 8
 
 
 class ColumnBlocks:
-    """Of every coefficient and every group of rows that it reaches, a block: that part of its column, in codes.
+    """A block for every coefficient and every group of rows that it reaches: that part of its column, in codes.
 
     A product takes the blocks that it needs by the light of the moment, on the host, and adds up those alone; so it is
     not for inside a compiled function. `Clustered` has fewer numbers to read than even the blocks that are left.
 
     Attributes:
         shape: (r, d, c), as of an `Operator`.
-        count: of blocks.
+        count: number of blocks.
     """
 
     def __init__(self, clusters: Sequence[Cluster], columns: int, bits: int = 8):
-        """Of groups, which are written out.
+        """Writes out the blocks of the groups.
 
         Args:
-            clusters: of each group of rows.
+            clusters: one for each group of rows.
             columns: d, the number of light coefficients.
-            bits: of the codes.
+            bits: size of a code.
         """
         channels, _, rows = clusters[0].weights.shape
         self.shape = len(clusters) * rows, columns, channels
@@ -43,7 +43,7 @@ class ColumnBlocks:
         self._support = np.concatenate([one.support for one in clusters]).astype(np.int32)
         self._group = np.repeat(np.arange(len(clusters), dtype=np.int32), [len(one.support) for one in clusters])
         tiles = np.concatenate(written).astype(np.float32).reshape(len(self._support), channels * rows)
-        # The last block, of nothing, fills up.
+        # The last block is empty: it fills up sums of fewer blocks.
         tiles = np.concatenate([tiles, np.zeros((1, channels * rows), np.float32)])
         self.count, self._size = len(self._support), np.linalg.norm(tiles, axis=1)
         self._tiles: Quantised = jax.device_put(quantised(tiles, bits))
@@ -77,7 +77,7 @@ class ColumnBlocks:
         return _added(self._tiles, light, few, column, group, self.shape), len(chosen)
 
     def _by_group(self, chosen: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, "b t"], Int[np.ndarray, " b"]]:
-        """Blocks, a few of the same group in each line, of one of few numbers of lines; and the lines' groups."""
+        """Blocks in lines, a few of the same group in each, and the lines' groups; the number of lines is bucketed."""
         groups = self.shape[0] * self.shape[2] // self._tiles.codes.shape[1]
         counts = np.bincount(self._group[chosen], minlength=groups)
         lines = -(-counts // _BLOCKS_PER_SUM)
@@ -106,7 +106,7 @@ def _added(
     width = tiles.codes.shape[1] // channels
     codes = tiles.codes[few].reshape(*few.shape, channels, width)
     out = light.shape[1]
-    each = [jnp.sum(codes[:, :, min(c, channels - 1)] * factors[:, :, c, None], axis=1) for c in range(out)]
-    lines = jnp.stack(each, axis=2)
+    by_channel = [jnp.sum(codes[:, :, min(c, channels - 1)] * factors[:, :, c, None], axis=1) for c in range(out)]
+    lines = jnp.stack(by_channel, axis=2)
     sums = jax.ops.segment_sum(lines, group, num_segments=r // width, indices_are_sorted=True)
     return sums.reshape(r, out)

@@ -401,7 +401,7 @@ def _check_shape(name: str, shape: tuple[int, ...], axes: tuple[str, ...], wante
             raise ValueError(f"{name} has {given} {axis}, the operator {own}")
 
 
-def _in_precision_of(given: Array, found: Array) -> Array:
-    """What was computed, in the floating-point type of what was given."""
-    dtype = jnp.result_type(given)
-    return found.astype(dtype) if jnp.issubdtype(dtype, jnp.floating) else found
+def _in_precision_of(reference: Array, result: Array) -> Array:
+    """The result in the floating-point type of the reference; a reference of whole numbers leaves it as it is."""
+    dtype = jnp.result_type(reference)
+    return result.astype(dtype) if jnp.issubdtype(dtype, jnp.floating) else result

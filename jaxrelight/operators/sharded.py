@@ -101,17 +101,20 @@ def _transpose(operator: Sharded, radiance: Float[Array, "r c"]) -> Float[Array,
 
 @jax.jit
 def _rows(operator: Sharded, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-    split, whole = _layouts(operator.mesh)
+    split, replicated = _layouts(operator.mesh)
     (axis,), m, held = operator.mesh.axis_names, operator.group_rows, operator.groups.shape[1]
 
     @functools.partial(
-        jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, whole.spec, whole.spec), out_specs=whole.spec
+        jax.shard_map,
+        mesh=operator.mesh,
+        in_specs=(split.spec, replicated.spec, replicated.spec),
+        out_specs=replicated.spec,
     )
     def summed(shards, place, row):
         place = place - jax.lax.axis_index(axis) * held
-        mine = (place >= 0) & (place < held)
-        found = _own(shards).rows(jnp.where(mine, place * m + row, 0))
-        return jax.lax.psum(jnp.where(mine[:, None, None], found, 0), axis)
+        held_here = (place >= 0) & (place < held)
+        rows = _own(shards).rows(jnp.where(held_here, place * m + row, 0))
+        return jax.lax.psum(jnp.where(held_here[:, None, None], rows, 0), axis)
 
     return summed(operator.shards, operator.place[indices // m], indices % m)
 
@@ -208,17 +211,17 @@ def _split_clusters(operator: Clustered, devices: int) -> tuple[Clustered, Int[n
         support, basis, weights = jax.tree.map(dealt, (part.support, part.basis, part.weights))
         buckets.append(Bucket(own, support, basis, weights))
         groups.append(dealt(part.groups, filling=g))
-        # Supports are ascending, then filled up with zeros; filling is of no column.
+        # Supports are ascending, then padded with zeros; padding belongs to no column.
         real = (support > 0) | (np.arange(support.shape[-1]) == 0)
         held.append(np.where(real, support, columns).reshape(devices, -1))
         start += b
     if not buckets:
         groups, start = [np.full((devices, 1), g, np.int32)], 1
     held = np.concatenate([np.zeros((devices, 0), int), *held], axis=1)
-    # Of one shape on all devices.
+    # The arrays have one shape on all devices.
     most = np.max([count_holders(own, columns) for own in held], axis=0)
-    found = [find_holders(own, columns, most) for own in held]
-    holders, column_place = jax.tree.map(lambda *own: np.stack(own), *found)
+    per_device = [find_holders(own, columns, most) for own in held]
+    holders, column_place = jax.tree.map(lambda *own: np.stack(own), *per_device)
     place: Any = np.broadcast_to(np.arange(start, dtype=np.int32), (devices, start))
     m = operator.group_rows
     shards = Clustered(tuple(buckets), place, holders, column_place, m, operator.channels, columns)

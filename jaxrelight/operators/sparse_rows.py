@@ -75,11 +75,11 @@ class SparseRows(Operator):
 
     @jax.jit
     def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Of each coefficient one gather for all lights, a few rows at a time."""
+        """Gathers each coefficient once for all lights, a few rows at a time."""
         n, _, c = lights.shape
         if n < _MANY:
             return super()._apply_many(lights)
-        # Of every column, one run of numbers to be gathered: channels c, lights n.
+        # Each column is one run of numbers to gather: of c channels and n lights.
         side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, c * n)
         rows = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), (self.indices, self.values))
         held = len(rows[0])
@@ -90,14 +90,16 @@ class SparseRows(Operator):
             gathered = side_by_side.at[indices.astype(jnp.int32)].get(mode="promise_in_bounds")
             values = [decoded(channel) for channel in channels]
             if len(values) == 1:
-                found = jnp.einsum("ri,ril->rl", values[0], gathered, precision="highest").reshape(few, c, n)
+                radiance = jnp.einsum("ri,ril->rl", values[0], gathered, precision="highest").reshape(few, c, n)
             else:
                 apart = gathered.reshape(*indices.shape, c, n)
-                each = [jnp.einsum("ri,ril->rl", values[i], apart[:, :, i], precision="highest") for i in range(c)]
-                found = jnp.stack(each, axis=1)
-            return jax.lax.dynamic_update_slice_in_dim(out, jnp.transpose(found, (2, 0, 1)), start, axis=1), None
+                by_channel = [
+                    jnp.einsum("ri,ril->rl", values[i], apart[:, :, i], precision="highest") for i in range(c)
+                ]
+                radiance = jnp.stack(by_channel, axis=1)
+            return jax.lax.dynamic_update_slice_in_dim(out, jnp.transpose(radiance, (2, 0, 1)), start, axis=1), None
 
-        # The last ones overlap those before, so that nothing is cut, which would copy it.
+        # The last slice overlaps the one before it, so that nothing has to be cut off, which would copy it.
         starts = np.minimum(np.arange(0, held, few), held - few).astype(np.int32)
         dtype = jnp.result_type(lights, *(decoded_type(channel) for channel in self.values))
         out, _ = jax.lax.scan(some, jnp.zeros((n, held, c), dtype), starts)

@@ -50,12 +50,12 @@ class Stacked(Operator):
         return jnp.sum(jnp.stack([part.transpose(radiance[start:end]) for part, start, end in parts]), axis=0)
 
     def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
-        """Looks into every operator for every row; rows of one channel are the same in all of the others'."""
+        """Looks up every row in every operator; a row of one channel is the same in all channels of the others."""
         _, d, c = self.shape
         parts = list(zip(self.operators, self.starts[:-1], self.starts[1:], strict=True))
         every = [part.rows(jnp.clip(indices - start, 0, end - start - 1)) for part, start, end in parts]
         rows = jnp.zeros((len(indices), c, d), jnp.result_type(*every))
-        for (_, start, end), found in zip(parts, every, strict=True):
-            mine = (indices >= start) & (indices < end)
-            rows = jnp.where(mine[:, None, None], found, rows)
+        for (_, start, end), part_rows in zip(parts, every, strict=True):
+            in_part = (indices >= start) & (indices < end)
+            rows = jnp.where(in_part[:, None, None], part_rows, rows)
         return rows
