@@ -14,8 +14,8 @@ from jaxrelight.operators.contract import Basis
 
 def _face_plane(s: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Points of the cube [−1, 1]³ at face coordinates s (rightwards) and t (downwards): [6, ..., 3]."""
-    one = np.ones_like(s)
-    faces = [(one, -t, -s), (-one, -t, s), (s, one, t), (s, -one, -t), (s, -t, one), (-s, -t, -one)]
+    ones = np.ones_like(s)
+    faces = [(ones, -t, -s), (-ones, -t, s), (s, ones, t), (s, -ones, -t), (s, -t, ones), (-s, -t, -ones)]
     return np.stack([np.stack(face, axis=-1) for face in faces])
 
 

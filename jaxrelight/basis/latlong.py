@@ -73,7 +73,7 @@ def resized(
 ) -> Float[Array | np.ndarray, "{height} {width} c"]:
     """The map with another number of rows and columns: every new pixel is the mean over its solid angle.
 
-    Of NumPy's arrays makes NumPy's, of JAX's, JAX's, and is differentiable.
+    NumPy arrays give NumPy arrays; JAX arrays give JAX arrays, differentiably.
     """
     old_height, old_width, channels = pixels.shape
     if (height, width) == (old_height, old_width):
@@ -82,10 +82,10 @@ def resized(
     by_column = _means(*(np.linspace(0, 1, count + 1) for count in (width, old_width)))
     if isinstance(pixels, jax.Array):
         return _by_matrices(pixels, *(side.toarray().astype(pixels.dtype) for side in (by_row, by_column)))
-    found = by_row.astype(pixels.dtype) @ pixels.reshape(old_height, -1)
-    found = found.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
-    found = by_column.astype(pixels.dtype) @ found
-    return np.ascontiguousarray(found.reshape(width, height, channels).swapaxes(0, 1))
+    resampled = by_row.astype(pixels.dtype) @ pixels.reshape(old_height, -1)
+    resampled = resampled.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
+    resampled = by_column.astype(pixels.dtype) @ resampled
+    return np.ascontiguousarray(resampled.reshape(width, height, channels).swapaxes(0, 1))
 
 
 @jax.jit

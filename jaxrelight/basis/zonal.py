@@ -42,10 +42,10 @@ def _means(pixels: Float[Array, "h w c"], exponent: Float[Array, ""], reach: int
     height, width, channels = pixels.shape
     dtype = pixels.dtype
     # Kernels of the lower half are those of the upper one upside down, and so serve the map upside down.
-    both = jnp.concatenate([pixels, pixels[::-1]], axis=-1)
+    mirrored = jnp.concatenate([pixels, pixels[::-1]], axis=-1)
     solid_angle = jnp.asarray(latlong.solid_angles(height, width), dtype)
     around = [(reach, reach)]
-    waves = jnp.pad(jnp.fft.rfft(both * solid_angle[:, None, None], axis=1), [*around, (0, 0), (0, 0)])
+    waves = jnp.pad(jnp.fft.rfft(mirrored * solid_angle[:, None, None], axis=1), [*around, (0, 0), (0, 0)])
     solid_angle = jnp.pad(solid_angle, around)
     polar = (jnp.arange(-reach, height + reach, dtype=dtype) + 0.5) * (np.pi / height)
     turned = 2 * jnp.sin(jnp.arange(width, dtype=dtype) * (np.pi / width)) ** 2
@@ -63,5 +63,5 @@ def _means(pixels: Float[Array, "h w c"], exponent: Float[Array, ""], reach: int
         kernel = jnp.fft.rfft(kernel, axis=1).real
         return jnp.einsum("jm,jmc->mc", kernel, near(waves)) / jnp.sum(kernel[:, 0] * near(solid_angle))
 
-    found = jnp.fft.irfft(jax.lax.map(row, jnp.arange(height // 2)), n=width, axis=1)
-    return jnp.concatenate([found[..., :channels], found[::-1, :, channels:]]).astype(dtype)
+    means = jnp.fft.irfft(jax.lax.map(row, jnp.arange(height // 2)), n=width, axis=1)
+    return jnp.concatenate([means[..., :channels], means[::-1, :, channels:]]).astype(dtype)
