@@ -40,32 +40,36 @@ def read_mtl(text: str, folder: pathlib.Path) -> dict[str, FileMaterial]:
     Ks is taken as the share that is reflected about the mirror direction. Other statements are about refraction,
     emission and the like, or are approximations of what transport computes; those that change the look are noted.
     """
-    found: dict[str, FileMaterial] = {}
+    materials: dict[str, FileMaterial] = {}
     material = FileMaterial()
     for line in text.splitlines():
         words = line.split("#", 1)[0].split()
-        key, rest = (words[0].lower(), words[1:]) if words else ("", [])
+        key, arguments = (words[0].lower(), words[1:]) if words else ("", [])
         try:
             if key == "newmtl":
-                material = found.setdefault(" ".join(rest), FileMaterial((0.8, 0.8, 0.8)))
+                material = materials.setdefault(" ".join(arguments), FileMaterial((0.8, 0.8, 0.8)))
             elif key == "kd":
-                material.diffuse = _colour(rest)
+                material.diffuse = _colour(arguments)
             elif key == "ks":
-                material.specular = _colour(rest)
+                material.specular = _colour(arguments)
             elif key == "ns":
-                material.exponent = min(max(_finite(rest[0]), 0.0), 1e5)
+                material.exponent = min(max(_finite(arguments[0]), 0.0), 1e5)
             elif key in ("map_kd", "map_ks", "norm"):
                 name = {"map_kd": "diffuse_picture", "map_ks": "specular_picture", "norm": "normal_picture"}[key]
-                setattr(material, name, folder / _file_name(rest, material.notes))
+                setattr(material, name, folder / _file_name(arguments, material.notes))
             elif key in ("map_bump", "bump", "disp"):
                 material.notes.append("bump and displacement maps are left out; give a normal_map")
-            elif key == "map_d" or (key == "d" and _finite(rest[-1]) < 1) or (key == "tr" and _finite(rest[-1]) > 0):
+            elif (
+                key == "map_d"
+                or (key == "d" and _finite(arguments[-1]) < 1)
+                or (key == "tr" and _finite(arguments[-1]) > 0)
+            ):
                 material.notes.append("transparency is left out; it is opaque")
-            elif key == "ke" and max(_colour(rest)) > 0:
+            elif key == "ke" and max(_colour(arguments)) > 0:
                 material.notes.append("emission is left out")
         except (ValueError, IndexError):
             material.notes.append(f"line {line.strip()[:60]!r} of the library is not understood and was left out")
-    return found
+    return materials
 
 
 def _finite(word: str) -> float:

@@ -43,14 +43,16 @@ def frames_of_points(
     Frames are of the dtype of the points, as JAX is set: float32 unless float64 is enabled.
     """
     dtype = float_dtype(normals, tangents)
-    found = np.empty((len(normals), 3, 3), dtype)
+    frames = np.empty((len(normals), 3, 3), dtype)
     # On the host also where a caller is being traced.
     with jax.ensure_compile_time_eval():
-        for start in range(0, len(found), _PART):
+        for start in range(0, len(frames), _PART):
             rows = slice(start, start + _PART)
-            frames = tangent_frame(*(filled_up(points[rows], _PART, dtype=dtype) for points in (normals, tangents)))
-            found[rows] = np.asarray(frames)[: len(found[rows])]
-    return found
+            part_frames = tangent_frame(
+                *(filled_up(points[rows], _PART, dtype=dtype) for points in (normals, tangents))
+            )
+            frames[rows] = np.asarray(part_frames)[: len(frames[rows])]
+    return frames
 
 
 def to_local(frames: Float[np.ndarray, "*p 3 3"], directions: Float[np.ndarray, "*p 3"]) -> Float[np.ndarray, "*p 3"]:

@@ -86,14 +86,14 @@ class _Reader:
         corners = 0
         for matrix, number in self._instances():
             for primitive in self.json["meshes"][number]["primitives"]:
-                found = self._primitive(primitive)
-                if found is None:
+                arrays = self._primitive(primitive)
+                if arrays is None:
                     continue
-                corners += len(found[0]) + 3 * len(found[1])
+                corners += len(arrays[0]) + 3 * len(arrays[1])
                 if corners > _MOST_CORNERS:
                     raise InputError("has more than 268 million vertices and corners; export less of it")
                 material = primitive.get("material", -1)
-                parts.setdefault(material if 0 <= material < count else -1, []).append(_moved(matrix, *found))
+                parts.setdefault(material if 0 <= material < count else -1, []).append(_moved(matrix, *arrays))
         return self._joined(parts)
 
     def _instances(self):
@@ -194,13 +194,13 @@ class _Reader:
         )
         start = 0
         for material in sorted(parts):
-            for positions, triangles, given, uv in parts[material]:
+            for positions, triangles, file_normals, uv in parts[material]:
                 count = len(positions)
                 inside = (triangles >= 0) & (triangles < count)
                 points.append(positions)
                 faces.append(np.where(inside, triangles + start, -1))
-                normals.append(np.zeros_like(positions) if given is None else given)
-                stated.append(np.full(count, given is not None))
+                normals.append(np.zeros_like(positions) if file_normals is None else file_normals)
+                stated.append(np.full(count, file_normals is not None))
                 uvs.append(np.full((count, 2), np.nan) if uv is None else uv)
                 part_of.append(np.full(count, len(named)))
                 start += count
@@ -231,11 +231,11 @@ class _Reader:
             notes.append("its texture of metalness and roughness is left out, their factors hold everywhere")
         red, green, blue = base
         picture = self._picture(pbr.get("baseColorTexture"), notes)
-        found = metallic_roughness((red, green, blue), min(max(metallic, 0), 1), min(max(roughness, 0), 1), picture)
-        found.normal_picture = self._picture(entry.get("normalTexture"), notes)
+        material = metallic_roughness((red, green, blue), min(max(metallic, 0), 1), min(max(roughness, 0), 1), picture)
+        material.normal_picture = self._picture(entry.get("normalTexture"), notes)
         if entry.get("normalTexture", {}).get("scale", 1) != 1:
             notes.append("the scale of its normal map is left out")
-        found.two_sided = bool(entry.get("doubleSided", False))
+        material.two_sided = bool(entry.get("doubleSided", False))
         if entry.get("alphaMode", "OPAQUE") != "OPAQUE":
             notes.append("transparency is left out; it is opaque")
         if any(entry.get("emissiveFactor", [0])):
@@ -243,8 +243,8 @@ class _Reader:
         asked = [name for name in entry.get("extensions", {}) if name != "KHR_materials_unlit"]
         if asked:
             notes.append(f"extensions are left out: {', '.join(sorted(asked))}")
-        found.notes += notes
-        return found
+        material.notes += notes
+        return material
 
     def _picture(self, texture, notes: list[str]) -> Picture | None:
         if texture is None:

@@ -87,24 +87,28 @@ def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
     raw, good = _load(path)
     part_of_vertex = raw.part[good.source]
     part_of_face = part_of_vertex[good.faces[:, 0]]
-    found = []
+    parts = []
     for number, part in enumerate(raw.parts):
-        mine = np.flatnonzero(part_of_vertex == number)
-        if not len(mine):
+        part_vertices = np.flatnonzero(part_of_vertex == number)
+        if not len(part_vertices):
             continue
         place = np.zeros(len(part_of_vertex), np.int64)
-        place[mine] = np.arange(len(mine))
-        uv = raw.uv[good.source[mine]]
+        place[part_vertices] = np.arange(len(part_vertices))
+        uv = raw.uv[good.source[part_vertices]]
         missing = _missing_uv(uv)
         uv = None if missing.all() else np.where(missing[:, None], 0, uv)
-        notes = list(good.notes if not found else ())
+        notes = list(good.notes if not parts else ())
         notes += [f"{part.name}: {_uv_note(missing)}"] if missing.any() and uv is not None else []
         mesh = Mesh(
-            good.vertices[mine], place[good.faces[part_of_face == number]], good.normals[mine], tuple(notes), uv
+            good.vertices[part_vertices],
+            place[good.faces[part_of_face == number]],
+            good.normals[part_vertices],
+            tuple(notes),
+            uv,
         )
         two_sided = part.material is not None and part.material.two_sided
-        found.append(MeshPart(with_back(mesh) if two_sided else mesh, part.name, part.material))
-    return found
+        parts.append(MeshPart(with_back(mesh) if two_sided else mesh, part.name, part.material))
+    return parts
 
 
 def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:

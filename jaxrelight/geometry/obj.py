@@ -121,8 +121,8 @@ def _dented(points: Float[np.ndarray, "v 3"], polygons: Sequence[Sequence[int]])
 
 def _libraries(names: Sequence[str], folder: pathlib.Path) -> dict[str, FileMaterial]:
     """Materials by name, of the libraries that are there."""
-    found: dict[str, FileMaterial] = {}
+    materials: dict[str, FileMaterial] = {}
     for name in dict.fromkeys(names):
         with contextlib.suppress(OSError, ValueError):
-            found |= read_mtl((folder / name).read_text(encoding="utf-8", errors="replace"), folder)
-    return found
+            materials |= read_mtl((folder / name).read_text(encoding="utf-8", errors="replace"), folder)
+    return materials

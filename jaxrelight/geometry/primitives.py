@@ -116,11 +116,11 @@ def _resolution(
     shape: str, resolution: int | np.integer | Sequence[int] | np.ndarray, count: int, sides: int = 1
 ) -> list[int]:
     try:
-        given = list(resolution) if isinstance(resolution, Sequence | np.ndarray) else [resolution] * count
-        quads = [operator.index(number) for number in given]
+        counts = list(resolution) if isinstance(resolution, Sequence | np.ndarray) else [resolution] * count
+        quads = [operator.index(number) for number in counts]
     except TypeError:
-        given, quads = [], []
-    if len(quads) != count or min(quads) < 1 or any(isinstance(number, bool) for number in given):
+        counts, quads = [], []
+    if len(quads) != count or min(quads) < 1 or any(isinstance(number, bool) for number in counts):
         wanted = "a whole number" if count == 1 else f"a whole number, or {count} of them,"
         raise InputError(f"{shape}: resolution {resolution!r} is not {wanted} from 1")
     if sides * math.prod(quads * (2 if count == 1 else 1)) > MOST_QUADS:

@@ -60,8 +60,8 @@ class Tracer:
         self, origins: Float[np.ndarray, "r 3"], directions: Float[np.ndarray, "r 3"]
     ) -> Float[np.ndarray, " r"]:
         """How far along each ray the first hit is, in scene space; infinite for none. Lift origins first."""
-        found = self._query(origins, directions, "DISTANCE")
-        return np.where(found < 1e30, found, np.inf)
+        distances = self._query(origins, directions, "DISTANCE")
+        return np.where(distances < 1e30, distances, np.inf)
 
     def first_hits(
         self, origins: Real[np.ndarray, "*r 3"], directions: Real[np.ndarray, "r 3"]
