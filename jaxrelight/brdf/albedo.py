@@ -42,5 +42,5 @@ def mean_albedo(brdf: Brdf | SpatialLobes) -> np.ndarray:
     sine, cosine = np.sqrt((1 + square) / 2), np.sqrt((1 - square) / 2)
     turns = np.radians([10.0, 100.0])
     omega = [[s * np.cos(t), s * np.sin(t), c] for t in turns for s, c in zip(sine, cosine, strict=True)]
-    found = np.asarray(_albedos(brdf, as_array(omega, float_dtype(brdf))))
-    return np.tile(weight / 2, len(turns)) @ found / len(turns)
+    albedos = np.asarray(_albedos(brdf, as_array(omega, float_dtype(brdf))))
+    return np.tile(weight / 2, len(turns)) @ albedos / len(turns)

@@ -105,7 +105,7 @@ def from_square(a: Float[np.ndarray, "..."], b: Float[np.ndarray, "..."]) -> Flo
 def bandwidth_table(brdf: Brdf, resolution: int = 256, grid: int = _GRID) -> BandwidthTable:
     """The bandwidth of any BRDF, largest in each cell of the grid, measured on finer slices.
 
-    In float32 whatever the BRDF is of: bandwidths choose how many samples are taken, not what these are.
+    It is float32 whatever the BRDF's type is: bandwidths choose how many samples are taken, not what these are.
 
     Args:
         brdf: any.
@@ -122,14 +122,14 @@ def bandwidth_table(brdf: Brdf, resolution: int = 256, grid: int = _GRID) -> Ban
     a, b = np.meshgrid(*[(np.arange(resolution) + 0.5) / resolution] * 2, indexing="ij")
     omega_i = jnp.asarray(from_square(a, b).reshape(-1, 3), jnp.float32)
     cell = math.sqrt(2 * math.pi) / resolution
-    found = []
-    for one in omega_o:
-        values = np.asarray(_slice(brdf, omega_i, jnp.asarray(one, jnp.float32)))
+    bandwidths = []
+    for direction in omega_o:
+        values = np.asarray(_slice(brdf, omega_i, jnp.asarray(direction, jnp.float32)))
         values = np.where(np.isfinite(values), values, 0).reshape(resolution, resolution, -1)
         frequency = local_frequency(mirrored(values))[:resolution, :resolution] / cell
         step = resolution // grid
-        found.append(frequency.reshape(grid, step, grid, step).max(axis=(1, 3)).reshape(-1))
-    return BandwidthTable(jnp.asarray(np.stack(found), jnp.float32), isotropic)
+        bandwidths.append(frequency.reshape(grid, step, grid, step).max(axis=(1, 3)).reshape(-1))
+    return BandwidthTable(jnp.asarray(np.stack(bandwidths), jnp.float32), isotropic)
 
 
 def compressed(table: BandwidthTable, components: int) -> tuple[CompressedBandwidth, float]:
@@ -138,9 +138,11 @@ def compressed(table: BandwidthTable, components: int) -> tuple[CompressedBandwi
     mean = values.mean(axis=0)
     left, sizes, right = np.linalg.svd(values - mean, full_matrices=False)
     kept = left[:, :components] * sizes[:components]
-    found = CompressedBandwidth(jnp.asarray(mean), jnp.asarray(kept), jnp.asarray(right[:components]), table.isotropic)
-    error = np.linalg.norm(np.asarray(found.table().values) - values) / max(np.linalg.norm(values), 1e-30)
-    return found, float(error)
+    approximation = CompressedBandwidth(
+        jnp.asarray(mean), jnp.asarray(kept), jnp.asarray(right[:components]), table.isotropic
+    )
+    error = np.linalg.norm(np.asarray(approximation.table().values) - values) / max(np.linalg.norm(values), 1e-30)
+    return approximation, float(error)
 
 
 @eqx.filter_jit
@@ -159,8 +161,8 @@ def texture_bandwidth(packed: PackedLobes) -> Texture:
     mixed = (flat / np.where(largest > 0, largest, 1)) @ np.random.default_rng(0).normal(size=(flat.shape[2], _MIXED))
     h, w = flat.shape[:2]
     ends = [(0, max(1 << (n - 1).bit_length(), _GRID) - n) for n in (h, w)]
-    found = local_frequency(np.pad(mixed, (*ends, (0, 0)), mode="wrap"))[:h, :w]
-    return Texture(jnp.asarray(found[..., None], jnp.float32))
+    frequency = local_frequency(np.pad(mixed, (*ends, (0, 0)), mode="wrap"))[:h, :w]
+    return Texture(jnp.asarray(frequency[..., None], jnp.float32))
 
 
 def _step(place, n):

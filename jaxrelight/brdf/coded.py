@@ -54,19 +54,19 @@ def encode(lobes: SpatialLobes, storage: Storage) -> dict[str, np.ndarray]:
         _check("diffuse", maps["diffuse"], storage)
         held = np.minimum(maps["exponent"], _LARGEST_HALF if storage == "half" else _LARGEST_EXPONENT)
         maps |= {"exponent": held, "scale": share * (held + 2)[..., None]}
-    found = {}
+    planes = {}
     for j in range(lobes.lobes):
-        one = maps["C"][:, :, j], maps["exponent"][:, :, j], maps["scale"][:, :, j]
-        found |= {f"lobe{j}.{name}": plane for name, plane in _ENCODE[storage](*one).items()}
+        parameters = maps["C"][:, :, j], maps["exponent"][:, :, j], maps["scale"][:, :, j]
+        planes |= {f"lobe{j}.{name}": plane for name, plane in _ENCODE[storage](*parameters).items()}
     if storage == "8bit":
-        found |= {f"diffuse.{name}": plane for name, plane in _mantissas(maps["diffuse"]).items()}
+        planes |= {f"diffuse.{name}": plane for name, plane in _mantissas(maps["diffuse"]).items()}
         turn = np.arctan2(maps["axis"][..., 1], maps["axis"][..., 0]) / (2 * np.pi)
-        whole = np.rint(turn * 2**16) % 2**16
-        found |= {"axis.code.A": whole // 256, "axis.code.B": whole % 256}
+        code = np.rint(turn * 2**16) % 2**16
+        planes |= {"axis.code.A": code // 256, "axis.code.B": code % 256}
     else:
-        found |= _spread("diffuse.", "RGB", maps["diffuse"])
-        found |= {"axis.cos2": maps["axis"][..., 0], "axis.sin2": maps["axis"][..., 1]}
-    return {name: plane.astype(np.float32 if storage == "float" else np.float16) for name, plane in found.items()}
+        planes |= _spread("diffuse.", "RGB", maps["diffuse"])
+        planes |= {"axis.cos2": maps["axis"][..., 0], "axis.sin2": maps["axis"][..., 1]}
+    return {name: plane.astype(np.float32 if storage == "float" else np.float16) for name, plane in planes.items()}
 
 
 def decode(planes: Planes, lobes: int) -> SpatialLobes:

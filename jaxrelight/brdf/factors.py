@@ -201,11 +201,11 @@ def _evaluate(brdf: Brdf, omega, other, channel, swapped):
 
 def _by_channel(samples: Samples, make: Callable[[int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
     """What make(channel) returns, arrays [k, …], for every channel in axis 1; channels alike share it."""
-    found = []
+    by_channel = []
     for c in range(samples.channels):
         first = samples.like(c)
-        found.append(found[first] if first < c else make(c))
-    return [np.stack(parts, axis=1) for parts in zip(*found, strict=True)]
+        by_channel.append(by_channel[first] if first < c else make(c))
+    return [np.stack(parts, axis=1) for parts in zip(*by_channel, strict=True)]
 
 
 def _svd(samples: Samples, terms: int) -> Factored:
@@ -277,23 +277,23 @@ _FORMS = {"svd": _svd, "symmetric": _symmetric, "normalised": _normalised, "nonn
 
 def _fewest(samples: Samples, form: Form, terms: int, error: float) -> Factored | Symmetric:
     """The factors of the fewest terms whose error is small enough."""
-    whole = _FORMS[form](samples, terms)
-    errors = _errors(samples, whole)
+    factors = _FORMS[form](samples, terms)
+    errors = _errors(samples, factors)
     if errors[-1] > error:
         raise InputError(
             f"{terms} terms leave an error of {100 * errors[-1]:.2g} %, more than {100 * error:.2g} %; allow more"
         )
     if form != "nonnegative":  # whose first terms are not those of fewer
-        return jax.tree.map(lambda maps: maps[: int(np.argmax(errors <= error)) + 1], whole)
+        return jax.tree.map(lambda maps: maps[: int(np.argmax(errors <= error)) + 1], factors)
     low, high = 0, terms
     while high - low > 1:
         middle = (low + high) // 2
-        found = _nonnegative(samples, middle)
-        if _errors(samples, found)[-1] > error:
+        fewer = _nonnegative(samples, middle)
+        if _errors(samples, fewer)[-1] > error:
             low = middle
         else:
-            high, whole = middle, found
-    return whole
+            high, factors = middle, fewer
+    return factors
 
 
 def _errors(samples: Samples, factors: Factored | Symmetric) -> np.ndarray:

@@ -135,8 +135,8 @@ def _equal_shares(mass: Float[np.ndarray, "f g"]) -> tuple[np.ndarray, np.ndarra
 
 def _cubics(values: Float[np.ndarray, "... n1"]) -> Float[np.ndarray, "... n 4"]:
     """Cubics between values that fall nowhere (Fritsch and Butland), by powers of the way from one to the next."""
-    found = interpolate.PchipInterpolator(np.arange(values.shape[-1]), values, axis=-1).c
-    return np.moveaxis(found[::-1], (0, 1), (-1, -2))
+    coefficients = interpolate.PchipInterpolator(np.arange(values.shape[-1]), values, axis=-1).c
+    return np.moveaxis(coefficients[::-1], (0, 1), (-1, -2))
 
 
 @eqx.filter_jit

@@ -50,9 +50,9 @@ def clip_lobe(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> Cli
 
     upper = (1 - right) * entry(0, 0) + right * entry(0, 1)
     lower = (1 - right) * entry(1, 0) + right * entry(1, 1)
-    found = (1 - down) * upper + down * lower
-    moved = found[..., 1:2] * peak + found[..., 2:3] * _upwards(peak)
-    return ClippedLobe(jnp.exp(found[..., 0]), safe.normalize(moved), 2 ** (found[..., 3] / _PER_DOUBLING) - 1)
+    entries = (1 - down) * upper + down * lower
+    moved = entries[..., 1:2] * peak + entries[..., 2:3] * _upwards(peak)
+    return ClippedLobe(jnp.exp(entries[..., 0]), safe.normalize(moved), 2 ** (entries[..., 3] / _PER_DOUBLING) - 1)
 
 
 def _upwards(peak: Float[Array, "... 3"]) -> Float[Array, "... 3"]:

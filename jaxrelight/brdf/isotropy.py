@@ -20,8 +20,8 @@ def is_isotropic(brdf: Brdf) -> bool:
         pair = (np.stack([s * np.cos(p), s * np.sin(p), c], axis=1) for s, p, c in both)
         return np.asarray(_pairs(brdf, *(as_array(side, float_dtype(brdf)) for side in pair)), float)
 
-    one, other = at(0), at(phi[2])
-    return bool(np.all(np.abs(one - other) <= 1e-3 * np.abs(one).max()))
+    unturned, turned = at(0), at(phi[2])
+    return bool(np.all(np.abs(unturned - turned) <= 1e-3 * np.abs(unturned).max()))
 
 
 @eqx.filter_jit

@@ -36,8 +36,8 @@ def apply_normal_map(
     """
     dtype = float_dtype(bumps)
     covered = jnp.broadcast_to(as_array(footprint, dtype), len(uv))
-    found = jax.vmap(bumps.look_up)(as_array(uv, dtype), covered)
-    x, y, z = (2 * np.asarray(found, float) - 1).T[:, :, None]
+    texels = jax.vmap(bumps.look_up)(as_array(uv, dtype), covered)
+    x, y, z = (2 * np.asarray(texels, float) - 1).T[:, :, None]
     along = u_axes[:, :3] - normals * np.sum(u_axes[:, :3] * normals, axis=1, keepdims=True)
     length = np.linalg.norm(along, axis=1, keepdims=True)
     along = along / np.where(length > 0, length, 1)

@@ -75,14 +75,14 @@ def from_record(
     def array(name: str) -> np.ndarray:
         entry = record["arrays"][name]
         if "layer" in entry:
-            found = kept(entry["layer"])
+            values = kept(entry["layer"])
         else:
-            found = np.reshape(np.asarray(entry["values"], entry.get("dtype", "float32")), entry["shape"])
-        return found if dtype is None or found.dtype.kind != "f" else found.astype(dtype)
+            values = np.reshape(np.asarray(entry["values"], entry.get("dtype", "float32")), entry["shape"])
+        return values if dtype is None or values.dtype.kind != "f" else values.astype(dtype)
 
     if record["kind"] not in _KINDS:
-        found = find_class(record["kind"], (Brdf, SpatialLobes), what)
-        return from_fields(found, record["fields"], array, what)
+        cls = find_class(record["kind"], (Brdf, SpatialLobes), what)
+        return from_fields(cls, record["fields"], array, what)
     arrays: dict[str, Any] = {name: as_array(array(name)) for name in record["arrays"]}
     if "coarser" in record:
         arrays["coarser"] = tuple(from_record(level, kept, dtype) for level in record["coarser"])

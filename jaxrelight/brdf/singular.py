@@ -30,8 +30,8 @@ def largest_singular(
         u, sigma, vt = np.linalg.svd(matrix)
         u, sigma, vt = u[:, :terms], sigma[:terms], vt[:terms]
     else:
-        found: Any = scipy.sparse.linalg.svds(matrix, terms, v0=_start(matrix), rng=0)
-        u, sigma, vt = found[0][:, ::-1], found[1][::-1], found[2][::-1]
+        triplets: Any = scipy.sparse.linalg.svds(matrix, terms, v0=_start(matrix), rng=0)
+        u, sigma, vt = triplets[0][:, ::-1], triplets[1][::-1], triplets[2][::-1]
     sign = np.where(u.sum(axis=0) < 0, -1, 1)
     return u * sign, sigma, vt.T * sign
 

@@ -167,8 +167,8 @@ def _shapes(every: LobeSum, strength: np.ndarray, pairs, at, tolerance: float, m
     shine = np.flatnonzero(strength > 0)
     some = np.random.default_rng(0).choice(shine, min(_CANDIDATES, len(shine)), replace=False)
     columns = (np.asarray(_values(jax.tree.map(lambda leaf: leaf[some], every), *pairs)) * at).T * strength[some]
-    found: Any = scipy.linalg.qr(columns, mode="r", pivoting=True)
-    r, order = found
+    factorisation: Any = scipy.linalg.qr(columns, mode="r", pivoting=True)
+    r, order = factorisation
     left = np.cumsum(np.sum(r**2, axis=1)[::-1])[::-1]
     enough = int(np.argmax(np.append(left, 0) <= tolerance**2 * left[0]))
     return some[order[: max(1, min(enough, most))]]
@@ -178,18 +178,20 @@ def _weights(every: LobeSum, scale: Float[np.ndarray, "t l c"], basis, pairs, at
     """Weights [t, b, c] of least squared error, and the relative root mean square of what is left."""
     texels, count, channels = scale.shape
     gram = np.asarray(basis, float) @ np.asarray(basis, float).T
-    # A millionth of the largest: shapes that are nearly alike share their weight.
+    # A millionth of the mean is added to the diagonal, so that shapes that are nearly alike share their weight.
     inverse = np.linalg.inv(gram + 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram)))
     solve = (inverse @ np.asarray(basis, float)).astype(float_dtype(every))
     weights, missed, total = np.empty((texels, len(gram), channels)), 0.0, 0.0
     size = max(1, _TEXEL_BATCH // count)
     for start in range(0, texels, size):
         index = np.minimum(np.arange(start, start + size), texels - 1)
-        mine = jax.tree.map(lambda leaf, i=index: leaf.reshape(texels, count, *leaf.shape[1:])[i], every)
-        found, off, whole = (np.asarray(of) for of in _solved(mine, scale[index], basis, solve, *pairs, at))
+        lobes = jax.tree.map(lambda leaf, i=index: leaf.reshape(texels, count, *leaf.shape[1:])[i], every)
+        solved, squared_error, squared_values = (
+            np.asarray(of) for of in _solved(lobes, scale[index], basis, solve, *pairs, at)
+        )
         kept = min(size, texels - start)
-        weights[start : start + kept] = found[:kept]
-        missed, total = missed + float(off[:kept].sum()), total + float(whole[:kept].sum())
+        weights[start : start + kept] = solved[:kept]
+        missed, total = missed + float(squared_error[:kept].sum()), total + float(squared_values[:kept].sum())
     return weights, float(np.sqrt(missed / total)) if total else 0.0
 
 
@@ -216,8 +218,8 @@ def _factored(shapes: LobeSum, size: Float[np.ndarray, " b"], terms: int, resolu
     samples = [Samples(shape, DISC, resolution, COSINE) for shape in single]
     first = samples[0]
     gram = 0.0
-    for one, used in zip(samples, size, strict=True):
-        matrix = used * one.matrix(0)
+    for shape_samples, used in zip(samples, size, strict=True):
+        matrix = used * shape_samples.matrix(0)
         gram = gram + matrix @ matrix.T
     gram = np.asarray(gram)
     square, u = scipy.linalg.eigh(gram, subset_by_index=[len(gram) - terms, len(gram) - 1])
@@ -225,11 +227,13 @@ def _factored(shapes: LobeSum, size: Float[np.ndarray, " b"], terms: int, resolu
     kept = square > 1e-12 * square[0]
     over = np.where(kept, 1 / np.where(kept, square, 1), 0)
     light_rest, view = 0.0, []
-    for one, used in zip(samples, size, strict=True):
-        mine = one.matrix(0).T @ u  # [o, k]
-        rest = one.times(0, one.rest, one.light[:, None] * u, swapped=True)
-        view.append(one.joined(mine / one.view[:, None], rest))
-        light_rest = light_rest + used**2 * one.times(0, one.rest, one.view[:, None] * mine)
+    for shape_samples, used in zip(samples, size, strict=True):
+        projected = shape_samples.matrix(0).T @ u  # [o, k]
+        view_rest = shape_samples.times(0, shape_samples.rest, shape_samples.light[:, None] * u, swapped=True)
+        view.append(shape_samples.joined(projected / shape_samples.view[:, None], view_rest))
+        light_rest = light_rest + used**2 * shape_samples.times(
+            0, shape_samples.rest, shape_samples.view[:, None] * projected
+        )
     light = first.joined(u / first.light[:, None], over * light_rest)
     left = np.sqrt(max(0.0, 1 - square.sum() / np.trace(gram)))
     return first.maps(light[:, None]), first.maps(np.stack(view, axis=1)), float(left)

@@ -79,9 +79,9 @@ class Tabulated(Brdf):
         """f(ω_i, ω_o) of every channel."""
         entries, weights = corners(half_difference(omega_i, omega_o), self.values.shape[:3])
         flat = self.values.reshape(-1, self.channels)
-        # Written out: products of small matrices are slow.
-        found = (flat.at[entries[k]].get(mode="promise_in_bounds") * weights[k] for k in range(8))
-        return functools.reduce(jnp.add, found)
+        # The sum is written out, since products of small matrices are slow.
+        contributions = (flat.at[entries[k]].get(mode="promise_in_bounds") * weights[k] for k in range(8))
+        return functools.reduce(jnp.add, contributions)
 
     @property
     def channels(self) -> int:

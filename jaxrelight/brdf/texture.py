@@ -75,13 +75,13 @@ class Texture(eqx.Module):
             scale = jnp.exp2(-number.astype(x.dtype))
             return _four(x * scale, y * scale, table[number, 0], table[number, 1])
 
-        found = []
+        texels = []
         for place, weight in of_level(lower):
-            # Of the finest level only where that is the one: elsewhere both reads are of `coarser`.
+            # The finest level is read only where it is the lower one; elsewhere both reads are of `coarser`.
             first = _read(finest, jnp.where(lower == 0, place, 0))
             other = _read(coarser, jnp.where(lower == 0, 0, at[lower - 1] + place))
-            found.append((jnp.where(lower == 0, first, other), (1 - share) * weight))
-        return found + [(_read(coarser, at[lower] + place), share * weight) for place, weight in of_level(lower + 1)]
+            texels.append((jnp.where(lower == 0, first, other), (1 - share) * weight))
+        return texels + [(_read(coarser, at[lower] + place), share * weight) for place, weight in of_level(lower + 1)]
 
 
 def _read(texels, place):

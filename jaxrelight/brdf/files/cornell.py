@@ -131,12 +131,12 @@ def interpolated(pairs: Pairs, shape: tuple[int, int, int] = SHAPE) -> tuple[Tab
     wanted = _coordinates(*grid)
     neighbours = min(_NEIGHBOURS, len(points))
     try:
-        found = RBFInterpolator(points, logs, neighbors=neighbours)(wanted)
+        values = RBFInterpolator(points, logs, neighbors=neighbours)(wanted)
     except (np.linalg.LinAlgError, ValueError):
         raise InputError("its pairs of directions are too much alike") from None
     near = logs[KDTree(points).query(wanted, neighbours)[1]]
-    found = np.exp(np.clip(found, near.min(axis=1), near.max(axis=1))) - floor
-    first = found.reshape(*shape[:2], len(half), -1)
+    values = np.exp(np.clip(values, near.min(axis=1), near.max(axis=1))) - floor
+    first = values.reshape(*shape[:2], len(half), -1)
     table = np.concatenate([first, first[:, :, : shape[2] - len(half)][:, :, ::-1]], axis=2)
     return _through(table, floor, pairs, angles)
 

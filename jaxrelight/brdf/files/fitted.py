@@ -122,11 +122,11 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
 
 
 def _factors(path: pathlib.Path) -> Separable:
-    found = read_npz(path, "factors", ("light_maps", "view_maps"))
+    arrays = read_npz(path, "factors", ("light_maps", "view_maps"))
     for name in ("light_maps", "view_maps"):
-        if name not in found:
-            raise InputError(f"{path}: '{name}' is missing; it has {', '.join(sorted(found)) or 'nothing'}")
-    light, view = (found[name] for name in ("light_maps", "view_maps"))
+        if name not in arrays:
+            raise InputError(f"{path}: '{name}' is missing; it has {', '.join(sorted(arrays)) or 'nothing'}")
+    light, view = (arrays[name] for name in ("light_maps", "view_maps"))
     for name, maps, channels in (("light_maps", light, (1, 3)), ("view_maps", view, (3,))):
         shape = maps.shape
         if maps.ndim != 4 or 0 in shape or shape[1] not in channels or shape[2] != shape[3] or shape[0] != len(view):

@@ -36,8 +36,8 @@ class BrdfFile:
 
     def albedos(self) -> dict[int, float]:
         """Share of the light that is reflected, by its angle from the normal in degrees; of the brightest channel."""
-        found = _albedos(self.brdf, as_array([_at(degrees) for degrees in _DEGREES], float_dtype(self.brdf)))
-        return dict(zip(_DEGREES, np.max(found, axis=-1).tolist(), strict=True))
+        albedos = _albedos(self.brdf, as_array([_at(degrees) for degrees in _DEGREES], float_dtype(self.brdf)))
+        return dict(zip(_DEGREES, np.max(albedos, axis=-1).tolist(), strict=True))
 
     def energy_notes(self) -> list[str]:
         """A line if more is reflected than comes, which measurements at grazing angles may say."""

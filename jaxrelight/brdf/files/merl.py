@@ -17,15 +17,15 @@ SIZE = 12 + 24 * SHAPE[0] * SHAPE[1] * SHAPE[2]
 def read_merl(content: Content) -> tuple[Tabulated, list[str]]:
     """The table of a file. Entries marked invalid, by negative numbers, are filled from the nearest valid ones.
 
-    Entries of which one direction lies below the surface always are invalid; of others, a note says how many.
+    Entries with a direction below the surface are always invalid; a note says how many others are.
 
     Raises:
         InputError: if the dimensions are others than 90 × 90 × 180, the file is shorter or longer than they make it,
             or it holds numbers that are not finite, or nothing valid.
     """
-    found = tuple(content.array("<i4", (3,), 0).tolist())
-    if found != SHAPE:
-        raise content.fault(f"has the dimensions {found}, not {SHAPE} as MERL's files have", "is it such a file?")
+    dimensions = tuple(content.array("<i4", (3,), 0).tolist())
+    if dimensions != SHAPE:
+        raise content.fault(f"has the dimensions {dimensions}, not {SHAPE} as MERL's files have", "is it such a file?")
     if len(content.data) != SIZE:
         state = "cut short" if len(content.data) < SIZE else "too long"
         raise content.fault(f"is {state}: {len(content.data):,} bytes instead of {SIZE:,}")
@@ -49,6 +49,6 @@ def _nearest_valid(invalid: np.ndarray) -> np.ndarray:
     n = SHAPE[2]
     wrapped = np.pad(invalid, ((0, 0), (0, 0), (n // 4, n // 4)), mode="wrap")
     places: Any = ndimage.distance_transform_edt(wrapped, return_distances=False, return_indices=True)
-    found = places[:, :, :, n // 4 : n // 4 + n][:, invalid]
-    found[2] = (found[2] - n // 4) % n
-    return found
+    nearest = places[:, :, :, n // 4 : n // 4 + n][:, invalid]
+    nearest[2] = (nearest[2] - n // 4) % n
+    return nearest

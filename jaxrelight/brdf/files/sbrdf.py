@@ -104,11 +104,11 @@ def spatial(levels: Sequence[SbrdfLevel]) -> Material:
 
 
 def _channels(level: SbrdfLevel, storage: Storage) -> dict[str, np.ndarray]:
-    found = encode(level.lobes, storage)
+    planes = encode(level.lobes, storage)
     number = np.float32 if storage == "float" else np.float16
-    others = {f"normal.{name}": level.normals[..., i] for i, name in enumerate("XYZ")}
-    others |= {"flag": level.flag, "residual": level.residual}
-    return found | {name: plane.astype(number) for name, plane in others.items()}
+    other_planes = {f"normal.{name}": level.normals[..., i] for i, name in enumerate("XYZ")}
+    other_planes |= {"flag": level.flag, "residual": level.residual}
+    return planes | {name: plane.astype(number) for name, plane in other_planes.items()}
 
 
 def _level(path: pathlib.Path, number: int, planes: dict[str, np.ndarray]) -> SbrdfLevel:
