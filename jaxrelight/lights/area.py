@@ -30,9 +30,9 @@ class Patch(Punctual):
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and the cosine of the angle from the normal."""
-        found = from_point(self.position, self.intensity, positions)
-        cosine = jnp.maximum(jnp.matmul(-found.omega_i, self.normal, precision="highest"), 0)
-        return found._replace(irradiance=found.irradiance * cosine[:, None], within=cosine > 0)
+        incident = from_point(self.position, self.intensity, positions)
+        cosine = jnp.maximum(jnp.matmul(-incident.omega_i, self.normal, precision="highest"), 0)
+        return incident._replace(irradiance=incident.irradiance * cosine[:, None], within=cosine > 0)
 
 
 class Area(Light):

@@ -59,14 +59,14 @@ class Cells(eqx.Module):
         left, top = jnp.floor(x), jnp.floor(y)
         right, down = (jnp.where(step > 0, part, 0) for part in (x - left, y - top))
         column, row = left.astype(jnp.int32), top.astype(jnp.int32)
-        found = jnp.zeros(self.values.shape[1], self.values.dtype)
+        radiance = jnp.zeros(self.values.shape[1], self.values.dtype)
         for i in (0, 1):
             for j in (0, 1):
                 # Rows are a power of two: columns go around by their bits.
                 place = start + jnp.clip(row + i, 0, rows - 1) * (2 * rows) + ((column + j) & (2 * rows - 1))
                 cell = self.values.at[place].get(mode="promise_in_bounds")
-                found += (down if i else 1 - down) * (right if j else 1 - right) * cell
-        return found[: self.channels]
+                radiance += (down if i else 1 - down) * (right if j else 1 - right) * cell
+        return radiance[: self.channels]
 
 
 class EnvironmentMipmap(eqx.Module):

@@ -92,16 +92,19 @@ class Spot(Punctual):
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and towards the cone's edge."""
-        found = from_point(self.position, self.intensity, positions)
+        incident = from_point(self.position, self.intensity, positions)
         axis = safe.normalize(self.target - self.position)
-        along = -jnp.matmul(found.omega_i, axis, precision="highest")
+        along = -jnp.matmul(incident.omega_i, axis, precision="highest")
         # At the light itself there is no direction.
-        along, across = jnp.where(found.distance > 0, along, 1), safe.norm(found.omega_i + along[:, None] * axis[None])
+        along, across = (
+            jnp.where(incident.distance > 0, along, 1),
+            safe.norm(incident.omega_i + along[:, None] * axis[None]),
+        )
         angle = jnp.degrees(jnp.arctan2(across, along))
         width = self.cutoff - self.beam
         soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
         share = jnp.where(width > 0, jnp.clip(soft, 0, 1), (angle <= self.cutoff).astype(angle.dtype))
-        return found._replace(irradiance=found.irradiance * share[:, None], within=share > 0)
+        return incident._replace(irradiance=incident.irradiance * share[:, None], within=share > 0)
 
 
 class Directional(Punctual):

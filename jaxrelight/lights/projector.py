@@ -35,9 +35,9 @@ class Projector(Punctual):
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance; the image as large as it is far."""
-        found = from_point(self.position, 1.0, positions)
+        incident = from_point(self.position, 1.0, positions)
         frame = frame_towards(self.position, self.target, self.up)
-        right, upwards, depth = jnp.matmul(-found.omega_i, frame.T, precision="highest").T
+        right, upwards, depth = jnp.matmul(-incident.omega_i, frame.T, precision="highest").T
         in_front = depth > 1e-6
         scale = jnp.where(in_front, 1 / jnp.where(in_front, depth, 1), 0) / jnp.tan(jnp.radians(self.fov_y) / 2)
         h, w = self.image.shape[:2]
@@ -47,8 +47,8 @@ class Projector(Punctual):
         seen = [
             jax.scipy.ndimage.map_coordinates(self.image[..., c], places, order=1, mode="nearest") for c in range(3)
         ]
-        irradiance = jnp.where(inside[:, None], found.irradiance * jnp.stack(seen, axis=1), 0)
-        return found._replace(irradiance=irradiance, within=inside)
+        irradiance = jnp.where(inside[:, None], incident.irradiance * jnp.stack(seen, axis=1), 0)
+        return incident._replace(irradiance=irradiance, within=inside)
 
 
 def projector(

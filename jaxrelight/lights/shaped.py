@@ -52,9 +52,9 @@ class Shaped(Punctual):
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Intensity / reference² · (reference / distance)^falloff, times the shares of shape and distance."""
-        found = from_point(self.position, 1.0, positions)
+        incident = from_point(self.position, 1.0, positions)
         frame = frame_towards(self.position, self.target, self.up)
-        right, upwards, depth = jnp.matmul(-found.omega_i, frame.T, precision="highest").T
+        right, upwards, depth = jnp.matmul(-incident.omega_i, frame.T, precision="highest").T
         in_front = depth > 1e-6
         place = jnp.abs(jnp.stack([right, upwards], axis=1)) / jnp.where(in_front, depth, 1)[:, None]
         # How many times each shape has to grow to reach the place.
@@ -62,9 +62,9 @@ class Shaped(Punctual):
         width = inner - outer
         edge = jnp.where(width > 0, (inner - 1) * outer / jnp.where(width > 0, width, 1), (inner > 1) * 1.0)
         share = jnp.where(in_front, 1 - _smooth(edge), 0)
-        share *= _smooth(_between(found.distance, self.near)) * (1 - _smooth(_between(found.distance, self.far)))
-        fallen = safe.power(self.reference / jnp.maximum(found.distance, 1e-6), self.falloff) / self.reference**2
-        return found._replace(irradiance=self.intensity[None] * (share * fallen)[:, None], within=share > 0)
+        share *= _smooth(_between(incident.distance, self.near)) * (1 - _smooth(_between(incident.distance, self.far)))
+        fallen = safe.power(self.reference / jnp.maximum(incident.distance, 1e-6), self.falloff) / self.reference**2
+        return incident._replace(irradiance=self.intensity[None] * (share * fallen)[:, None], within=share > 0)
 
     def _reach(self, place: Float[Array, "p 2"], angles: Float[Array, "2"]) -> Float[Array, " p"]:
         exponent = 2 / jnp.maximum(self.roundness, 0.05)
@@ -146,9 +146,9 @@ def shaped(
         raise InputError(f"a shaped light's reference must be a distance above 0, not {shown(reference)}")
     placed = vector("position", position, dtype), vector("target", target, dtype), vector("up", up, dtype)
     check_frame("a shaped light", *placed)
-    whole = [module_of(angles).broadcast_to(angles, (2,)) for angles in shapes]
+    angle_pairs = [module_of(angles).broadcast_to(angles, (2,)) for angles in shapes]
     emitted = power("intensity", intensity, dtype)
-    numbers = (*whole, as_numbers(roundness), *distances, as_numbers(falloff), as_numbers(reference))
+    numbers = (*angle_pairs, as_numbers(roundness), *distances, as_numbers(falloff), as_numbers(reference))
     return Shaped(*(as_array(each, dtype) for each in (*placed, emitted, *numbers)))
 
 

@@ -132,8 +132,10 @@ def _find_sun(pixels: Float[np.ndarray, "h w 3"]) -> _Taken | None:
     n = 1 << max(0, int(np.floor(np.log2(rows / 2)))) if rows > 1 else 0
     while n >= min(_COARSEST, rows // 2) > 0:
         cell = cubemap.texel_of(towards, n)
-        whole = np.maximum(np.bincount(cell, area, 6 * n * n), 1e-30)
-        mean = np.stack([np.bincount(cell, area * one, 6 * n * n) for one in flat.T], axis=1) / whole[:, None]
+        cell_area = np.maximum(np.bincount(cell, area, 6 * n * n), 1e-30)
+        mean = (
+            np.stack([np.bincount(cell, area * channel, 6 * n * n) for channel in flat.T], axis=1) / cell_area[:, None]
+        )
         split = _brightest(mean) if len(mean) > MAX_TEXELS else None
         if split is not None:
             return _taken(pixels, *split, n)
@@ -166,11 +168,11 @@ def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most:
     if np.pi / h <= _APART or np.count_nonzero(bright) > _MAX_DIRECTIONS:
         # Cells are smaller than a sun, or hold many pixels: one direction each.
         energy = ((1 - stays) * area)[:, None] * flat
-        cells = [one for one in lit if bright[cell == one].any()]
-        for number, one in enumerate(cells):
-            mine = (cell == one) & bright
-            slot[mine] = number
-            mean = energy[mine].sum(axis=1) @ towards[mine]
+        cells = [lit_cell for lit_cell in lit if bright[cell == lit_cell].any()]
+        for number, lit_cell in enumerate(cells):
+            in_cell = (cell == lit_cell) & bright
+            slot[in_cell] = number
+            mean = energy[in_cell].sum(axis=1) @ towards[in_cell]
             taken.directions[number] = mean / np.linalg.norm(mean)
             taken.source[number], taken.share[number] = number, 1
         return taken._replace(stays=stays.reshape(h, w), slot=slot.reshape(h, w))
