@@ -125,7 +125,7 @@ class FinalGather:
 
     def links(self, positions: Float[np.ndarray, "m 3"], normals: Float[np.ndarray, "m 3"]) -> Links:
         """As few nodes as are needed for all of the receivers, without those that are behind all of them."""
-        active, found = np.zeros(1, np.int64), []
+        active, links = np.zeros(1, np.int64), []
         own = np.sum(positions * normals, axis=1)[:, None]
         squares = np.sum(positions**2, axis=1)[:, None]
         for h, level in reversed(list(enumerate([self._parts, *self._levels], -1))):
@@ -136,11 +136,11 @@ class FinalGather:
             split = (diagonals**2 > self._threshold * nearest) & (h >= 0)
             kept = active[above.any(axis=0) & ~split]
             nodes = kept if h >= 0 else kept // PARTS
-            found.append(Links(np.full(len(kept), max(h, 0)), nodes, level.chosen[kept], level.areas[kept]))
+            links.append(Links(np.full(len(kept), max(h, 0)), nodes, level.chosen[kept], level.areas[kept]))
             active = (4 * active[split][:, None] + np.arange(4)).reshape(-1)
             if not len(active):
                 break
-        return Links(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+        return Links(*(np.concatenate(arrays) for arrays in zip(*links, strict=True)))
 
     def rows(
         self,
@@ -167,15 +167,15 @@ class FinalGather:
         seen = np.zeros((len(positions), len(sources.areas)), bool)
         seen[:, : len(points)] = visible
         columns, wavelets = self._wavelets(links)
-        found = []
+        gathered = []
         for reflection, channel in zip(reflections, channels or self.channels_of(reflections), strict=True):
-            given = as_array(positions, jnp.float32), as_array(frames), reflection
-            values = np.asarray(_received(*given, sources, as_array(seen), self._near))
+            arguments = as_array(positions, jnp.float32), as_array(frames), reflection
+            values = np.asarray(_received(*arguments, sources, as_array(seen), self._near))
             m, k, c, _ = values.shape
             rows = wavelets.T @ values[..., : len(points)].reshape(-1, len(points)).T
             rows = np.ascontiguousarray(rows.T).reshape(m, k, c, len(columns))
-            found.append(Gathered(columns, np.broadcast_to(rows, (m, k, channel, len(columns))), None))
-        return found
+            gathered.append(Gathered(columns, np.broadcast_to(rows, (m, k, channel, len(columns))), None))
+        return gathered
 
     def _sources(self, links: Links) -> Sources:
         points, length = links.places, bucket(max(len(links.places), 1), 1024, 2)
@@ -187,30 +187,30 @@ class FinalGather:
         glossy = [one for one in reflections if not one.is_constant]
         if not glossy or self._peak >= 1:
             return links
-        given = as_array(positions, jnp.float32), as_array(frames)
-        active, found = links, []
-        whole: list[Array | None] = [None] * len(glossy)
+        placed = as_array(positions, jnp.float32), as_array(frames)
+        active, refined = links, []
+        totals: list[Array | None] = [None] * len(glossy)
         while len(active.places):
             sources = self._sources(active)
             largest = np.zeros(len(active.places))
-            for i, one in enumerate(glossy):
-                shares, whole[i] = _largest_shares(*given, one, sources, whole[i], self._near)
+            for i, reflection in enumerate(glossy):
+                shares, totals[i] = _largest_shares(*placed, reflection, sources, totals[i], self._near)
                 largest = np.maximum(largest, np.asarray(shares)[: len(largest)])
             split = (largest > self._peak) & (active.places < len(self._tree))
-            found.append(Links(*(array[~split] for array in active)))
+            refined.append(Links(*(array[~split] for array in active)))
             active = self._children(Links(*(array[split] for array in active)))
-        return Links(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+        return Links(*(np.concatenate(arrays) for arrays in zip(*refined, strict=True)))
 
     def _children(self, links: Links) -> Links:
-        """What nodes that are no parts are split into."""
-        found = []
+        """The children of nodes that are not parts."""
+        children = []
         for h in np.unique(links.heights):
             level = self._levels[h - 1] if h else self._parts
             nodes = (4 * links.nodes[links.heights == h][:, None] + np.arange(4)).reshape(-1)
             of = nodes if h else nodes // PARTS
-            found.append(Links(np.full(len(nodes), max(h - 1, 0)), of, level.chosen[nodes], level.areas[nodes]))
+            children.append(Links(np.full(len(nodes), max(h - 1, 0)), of, level.chosen[nodes], level.areas[nodes]))
         none = Links(*(array[:0] for array in links))
-        return Links(*(np.concatenate(arrays) for arrays in zip(none, *found, strict=True)))
+        return Links(*(np.concatenate(arrays) for arrays in zip(none, *children, strict=True)))
 
     def channels_of(self, reflections: Sequence[Reflection]) -> list[int]:
         """Channels of the rows of each of a material's reflections: its own."""
@@ -295,7 +295,7 @@ def _received(
 
     def row(receiver):
         position, frame, own, visible = receiver
-        one = eqx.combine(own, shared)
+        own_reflection = eqx.combine(own, shared)
         away = sources.positions - position[None]
         omega_i = safe.normalize(away)
         local = jnp.matmul(frame, omega_i.T, precision="highest")
@@ -307,17 +307,17 @@ def _received(
             share /= jnp.maximum(jnp.sum(share * sources.counts) / np.pi, 1)
         else:
             share = jnp.where(visible, jnp.minimum(areas / jnp.maximum(square, 1e-20), _CLAMP), 0)
-        return jax.vmap(one.light_side, in_axes=1, out_axes=2)(local) * share[None, None]
+        return jax.vmap(own_reflection.light_side, in_axes=1, out_axes=2)(local) * share[None, None]
 
     return jax.lax.map(row, (positions, frames, own, visible), batch_size=_RECEIVER_BATCH)
 
 
 @eqx.filter_jit
 def _largest_shares(
-    positions, frames, reflection: Reflection, sources: Sources, whole: Float[Array, "m k c 1"] | None, near: Near
+    positions, frames, reflection: Reflection, sources: Sources, totals: Float[Array, "m k c 1"] | None, near: Near
 ) -> tuple[Float[Array, " l"], Float[Array, "m k c 1"]]:
-    """Of every source the largest share that it has of a row, as if all were seen; and the sums of rows."""
+    """The largest share of a row that each source has, as if all were visible; and the sums of the rows."""
     seen = jnp.ones((len(positions), len(sources.areas)), bool)
     values = _received(positions, frames, reflection, sources, seen, near) * sources.counts[None, None, None]
-    whole = jnp.sum(values, axis=3, keepdims=True) if whole is None else whole
-    return jnp.max(values / jnp.maximum(whole, 1e-30), axis=(0, 1, 2)), whole
+    totals = jnp.sum(values, axis=3, keepdims=True) if totals is None else totals
+    return jnp.max(values / jnp.maximum(totals, 1e-30), axis=(0, 1, 2)), totals

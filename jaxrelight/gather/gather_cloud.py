@@ -191,7 +191,7 @@ def _pieces(
     """Faces on both of their sides where they have two, halved across their longest edges until they are small.
 
     Returns:
-        Of every piece the face, the barycentric weights of its corners, and whether it is the back.
+        The face of every piece, the barycentric weights of its corners, and whether it is the back.
     """
     two_sided = surfaces.two_sided[surfaces.mesh_of_vertex[surfaces.faces[:, 0]]]
     face = np.concatenate([np.arange(len(surfaces.faces)), np.flatnonzero(two_sided)])
@@ -199,19 +199,19 @@ def _pieces(
     corners = np.broadcast_to(np.eye(3), (len(face), 3, 3))
     ends = surfaces.vertices[surfaces.faces[face]]
     area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
-    (longest, largest), square, found = PIECES, area.sum() / count, []
+    (longest, largest), square, pieces = PIECES, area.sum() / count, []
     while len(face):
         ends = np.einsum("pkc,pcx->pkx", corners, surfaces.vertices[surfaces.faces[face]])
-        # Of the edge that faces each corner.
+        # These are the lengths of the edges that face the corners.
         length = np.linalg.norm(np.roll(ends, -1, axis=1) - np.roll(ends, 1, axis=1), axis=2)
         area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
         split = (length.max(axis=1) > longest * np.sqrt(square)) & (area > largest * square)
-        found.append((face[~split], corners[~split], back[~split]))
+        pieces.append((face[~split], corners[~split], back[~split]))
         tip = np.argmax(length, axis=1)[split]
         a, b, c = (corners[split, (tip + k) % 3] for k in range(3))
         halves = np.stack([a, b, (b + c) / 2], axis=1), np.stack([a, (b + c) / 2, c], axis=1)
         face, corners, back = np.tile(face[split], 2), np.concatenate(halves), np.tile(back[split], 2)
-    return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))  # pyright: ignore[reportReturnType]
+    return tuple(np.concatenate(arrays) for arrays in zip(*pieces, strict=True))  # pyright: ignore[reportReturnType]
 
 
 def _in_triangles(u: Float[np.ndarray, " p"], v: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:

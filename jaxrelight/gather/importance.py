@@ -47,11 +47,11 @@ class Importance:
     def __call__(
         self, positions: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"], areas: Float[np.ndarray, " p"]
     ) -> Float[np.ndarray, " p"]:
-        """Of places that stand for some areas, relative to their mean; never 0."""
+        """The importance of places that stand for some areas, relative to their mean; it is never 0."""
         if self._tree is None:
             return np.ones(len(positions))
-        distance, found = self._tree.query(positions, _NEAREST, workers=-1)
-        front = np.einsum("pkx,px->pk", self._normals[found], normals) > 0
-        density = np.sum(self._power[found] * front, axis=1) / np.maximum(distance[:, -1], 1e-4) ** 2
+        distance, nearest = self._tree.query(positions, _NEAREST, workers=-1)
+        front = np.einsum("pkx,px->pk", self._normals[nearest], normals) > 0
+        density = np.sum(self._power[nearest] * front, axis=1) / np.maximum(distance[:, -1], 1e-4) ** 2
         mean = np.sum(density * areas) / areas.sum()
         return np.maximum(density / mean, _LEAST) if mean > 0 else np.ones(len(positions))

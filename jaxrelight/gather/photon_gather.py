@@ -90,15 +90,15 @@ class PhotonGather:
         """What one group of the cloud's points gets of a white surface's share; reflections are of that."""
         positions, normals = receivers.positions[group], receivers.face_normals[group]
         cloud, (photons, tree) = self._cloud, self._landed()
-        # Of many photons more, so that their disc has parts of the cloud's points enough to tell its area.
+        # Where there are many photons, more are taken, so that their disc has enough of the points' parts for its area.
         enough = max(_NEAREST, _PARTS * len(photons.positions) // cloud.parts[..., 0].size)
         m, k = len(positions), min(enough, len(photons.positions))
         rows = np.zeros((m, 3, len(cloud.positions)), np.float32)
         if k:
-            distance, found = (np.asarray(array).reshape(m, k) for array in tree.query(positions, k))
-            alike = np.einsum("mkx,mx->mk", photons.normals[found], normals) > _ALIKE
+            distance, nearest = (np.asarray(array).reshape(m, k) for array in tree.query(positions, k))
+            alike = np.einsum("mkx,mx->mk", photons.normals[nearest], normals) > _ALIKE
             receiver, nth = np.nonzero(alike)
-            chosen = found[receiver, nth]
+            chosen = nearest[receiver, nth]
             origin = photons.origins[chosen]
             share = self._share[origin] / self._areas(positions, normals, distance[:, -1])[receiver]
             for c in range(3):
@@ -113,9 +113,12 @@ class PhotonGather:
         return [3] * len(reflections)
 
     def _areas(self, positions, normals, radii) -> Float[np.ndarray, " m"]:
-        """Of surfaces like a receiver's own within a distance of it: of the points' parts, or of a disc for none."""
-        found = self._parts.query_ball_point(positions, radii)
+        """Areas of surfaces like a receiver's own within a radius: of the points' parts, or of a disc without any."""
+        neighbours = self._parts.query_ball_point(positions, radii)
         areas, facing = self._cloud.part_areas.reshape(-1), self._cloud.part_normals.reshape(-1, 3)
-        alike = [np.asarray(mine)[facing[mine] @ normal > _ALIKE] for mine, normal in zip(found, normals, strict=True)]
-        sums = np.array([areas[mine].sum() for mine in alike])
+        alike = [
+            np.asarray(chosen)[facing[chosen] @ normal > _ALIKE]
+            for chosen, normal in zip(neighbours, normals, strict=True)
+        ]
+        sums = np.array([areas[chosen].sum() for chosen in alike])
         return np.where(sums > 0, sums, np.pi * radii**2)

@@ -47,15 +47,15 @@ def shoot(
     Args:
         surfaces: of the scene.
         tracer: of the scene.
-        positions: that they set out from, in scene space.
-        face_normals: about which they do.
+        positions: points that the photons start from, in scene space.
+        face_normals: normals of the faces there.
         albedo: of surface points.
-        each: photons of a point.
+        each: number of photons from each point.
         length: how often each lands at most; None for Russian roulette by albedo, which has no limit.
         seed: of directions and of the roulette.
     """
     random = np.random.default_rng(seed)
-    found = []
+    landings = []
     for start in range(0, len(positions) * each, _RAY_CHUNK):
         origin = np.arange(start, min(start + _RAY_CHUNK, len(positions) * each)) // each
         where, normal, power = positions[origin], face_normals[origin], np.ones((len(origin), 3))
@@ -72,7 +72,7 @@ def shoot(
             normal = np.where(behind[:, None], -normal, normal)
             arrays = where, normal, power, origin, face, weights, behind
             where, normal, power, origin, face, weights, behind = (array[kept] for array in arrays)
-            found.append(Photons(where, normal, power, origin))
+            landings.append(Photons(where, normal, power, origin))
             reflected, landed = albedo(face, weights, behind), landed + 1
             if length is None:
                 goes_on = random.random(len(face)) < (chance := np.minimum(reflected.max(axis=1), 0.95))
@@ -80,7 +80,7 @@ def shoot(
                 where, normal, power, origin, reflected = (array[goes_on] for array in arrays)
             power = power * reflected
     none = Photons(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64))
-    return Photons(*(np.concatenate(arrays) for arrays in zip(none, *found, strict=True)))
+    return Photons(*(np.concatenate(arrays) for arrays in zip(none, *landings, strict=True)))
 
 
 def _by_cosine(normals: Float[np.ndarray, "p 3"], random: np.random.Generator) -> Float[np.ndarray, "p 3"]:
