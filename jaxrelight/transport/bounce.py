@@ -121,10 +121,10 @@ class Gather:
         columns = self._columns(closings)
         place = np.zeros(self._transport.operator.shape[1], np.int64)
         place[columns] = np.arange(len(columns))
-        # A line for each coefficient: lines of some are added to at once.
+        # There is a line for each coefficient; those of several coefficients are added to at once.
         lines = np.zeros((len(columns), m * sum(terms) * c), np.float32)
-        for support, found in self._lines(hits, closings, light_side, c):
-            lines[place[support]] += found
+        for support, sums in self._lines(hits, closings, light_side, c):
+            lines[place[support]] += sums
         ends = np.cumsum(terms)
         by_reflection = np.split(lines.T.reshape(m, sum(terms), c, len(columns)), ends[:-1], axis=1)
         emitted: Sequence[np.ndarray | None] = [None] * len(terms)
@@ -159,14 +159,14 @@ class Gather:
             emission: add what surfaces emit.
         """
         seen = np.zeros((*light_side.shape[:2], self.channels), np.float32)
-        for number, mine, slots, weights, closing in self._closings(hits):
-            place = hits.texel[mine], hits.receiver[mine]
+        for number, block_hits, slots, weights, closing in self._closings(hits):
+            place = hits.texel[block_hits], hits.receiver[block_hits]
             own, radiance = terms[number], self._transport.blocks[number].emission
             if own is not None:
                 corners = np.einsum("hv,hvkc->hkc", weights, np.asarray(own)[slots])
-                seen[place] += np.sum(corners * np.asarray(closing)[: len(mine)], axis=1)
+                seen[place] += np.sum(corners * np.asarray(closing)[: len(block_hits)], axis=1)
             if emission and radiance is not None:
-                front = np.sum(hits.points.normals[mine] * hits.points.omega_o[mine], axis=1) > 0
+                front = np.sum(hits.points.normals[block_hits] * hits.points.omega_o[block_hits], axis=1) > 0
                 seen[place] += front[:, None] * np.asarray(radiance)
         return np.asarray(_received(light_side, seen))
 
@@ -183,7 +183,7 @@ class Gather:
         return Hits(receiver[points.covered], texel[points.covered], points)
 
     def _closings(self, hits: Hits):
-        """Of each block that is hit: its number, which hits, their corners in its groups, weights and view sides."""
+        """For each block that is hit: its number, which hits, their corners in its groups, weights and view sides."""
         points, transport = hits.points, self._transport
         corners = np.where(points.back[:, None], transport.surfaces.back[points.corners], points.corners)
         weights = points.barycentric
@@ -194,14 +194,16 @@ class Gather:
         material = transport.receivers.material_of_group[slots[:, 0] // GROUP]
         for number, block in enumerate(transport.blocks):
             groups = block.groups
-            mine = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
-            if not len(mine):
+            block_hits = np.flatnonzero(material == transport.receivers.material_of_group[groups[0]])
+            if not len(block_hits):
                 continue
-            length = _power(len(mine), 2, 1024)
-            local = to_local(frames_of_points(points.normals[mine], points.tangents[mine]), points.omega_o[mine])
-            seen = (filled_up(rows, length) for rows in (local, points.uv[mine], points.footprint[mine]))
+            length = _power(len(block_hits), 2, 1024)
+            local = to_local(
+                frames_of_points(points.normals[block_hits], points.tangents[block_hits]), points.omega_o[block_hits]
+            )
+            seen = (filled_up(rows, length) for rows in (local, points.uv[block_hits], points.footprint[block_hits]))
             closing = _outgoing(block.reflection, block.weight, *seen)
-            yield number, mine, slots[mine] - groups[0] * GROUP, weights[mine], closing
+            yield number, block_hits, slots[block_hits] - groups[0] * GROUP, weights[block_hits], closing
 
     def _columns(self, closings) -> Int[np.ndarray, " n"]:
         """The coefficients of all groups of vertices that are seen, ascending."""
@@ -214,9 +216,9 @@ class Gather:
 
     def _lines(self, hits: Hits, closings, light_side: Float[Array, "f m k c1"], channels: int):
         """What is seen of each group of vertices: its coefficients, and a line for each of them."""
-        for number, mine, slots, weights, closing in closings:
-            hit = np.repeat(np.arange(len(mine)), slots.shape[1])
-            entries = hits.receiver[mine][hit], hits.texel[mine][hit], hit, weights.reshape(-1)
+        for number, block_hits, slots, weights, closing in closings:
+            hit = np.repeat(np.arange(len(block_hits)), slots.shape[1])
+            entries = hits.receiver[block_hits][hit], hits.texel[block_hits][hit], hit, weights.reshape(-1)
             for part in self._parts[number]:
                 yield from _lines_of(part, entries, slots.reshape(-1), light_side, closing, channels)
 
@@ -233,7 +235,7 @@ def _lines_of(part: _Part, entries, slots: Int[np.ndarray, " e"], light_side, cl
         channels: of the lines.
     """
     group, vertex = np.divmod(slots, GROUP)
-    # Entries of a group one after the other, groups of a size too.
+    # Entries are sorted by the size of their group, then by group.
     order = np.lexsort((group, part.size[group]))
     starts = np.flatnonzero(np.diff(group[order], prepend=-1))
     ends, seen = np.append(starts[1:], len(order)), group[order][starts]
@@ -248,8 +250,8 @@ def _lines_of(part: _Part, entries, slots: Int[np.ndarray, " e"], light_side, cl
             matrix = _seen(light_side, closing, *(filled_up(x, length) for x in columns), wide, channels)
             clusters = [part.clusters[number] for number in seen[some]]
             lines = np.asarray(_mixed(matrix, *_together(clusters, wide)))
-            for one, found in zip(clusters, lines, strict=False):
-                yield one.support, found[: len(one.support)]
+            for cluster, sums in zip(clusters, lines, strict=False):
+                yield cluster.support, sums[: len(cluster.support)]
 
 
 def _together(clusters: list[Cluster], wide: int) -> tuple[Float[np.ndarray, "p q s"], Float[np.ndarray, "p c q r"]]:
@@ -257,19 +259,19 @@ def _together(clusters: list[Cluster], wide: int) -> tuple[Float[np.ndarray, "p 
     q, s = _size(clusters[0])
     c, _, r = clusters[0].weights.shape
     basis, weights = np.zeros((wide, q, s), np.float32), np.zeros((wide, c, q, r), np.float32)
-    for i, one in enumerate(clusters):
-        basis[i, : len(one.basis), : len(one.support)] = one.basis
-        weights[i, :, : len(one.basis)] = one.weights
+    for i, cluster in enumerate(clusters):
+        basis[i, : len(cluster.basis), : len(cluster.support)] = cluster.basis
+        weights[i, :, : len(cluster.basis)] = cluster.weights
     return basis, weights
 
 
-def _size(one: Cluster) -> tuple[int, int]:
+def _size(cluster: Cluster) -> tuple[int, int]:
     """What a cluster's shared rows and coefficients are filled up to: few sizes, the same for all scenes."""
-    return _power(len(one.basis), 2, 4), _power(len(one.support), 2, 32)
+    return _power(len(cluster.basis), 2, 4), _power(len(cluster.support), 2, 32)
 
 
 def _runs(array: np.ndarray, most: int):
-    """Runs of at most so many."""
+    """Runs of at most `most` entries."""
     return (array[start : start + most] for start in range(0, len(array), most))
 
 
@@ -279,19 +281,19 @@ def _part(operator: Operator, block: Block) -> _Part:
     else:
         assert isinstance(operator, Clustered)
         clusters = operator.clusters()
-    sizes = [_size(one) if len(one.support) else None for one in clusters]
+    sizes = [_size(cluster) if len(cluster.support) else None for cluster in clusters]
     number = {size: i for i, size in enumerate(sorted({size for size in sizes if size}))}
     return _Part(clusters, np.array([number[size] if size else -1 for size in sizes]))
 
 
 def _outgoing_shape(block: Block):
-    """The shape [1, k, c] of what closes a block's terms, nothing computed."""
-    one = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros(1)
-    return jax.eval_shape(outgoing, block.reflection, block.weight, *one).shape
+    """The shape [1, k, c] of what closes a block's terms; nothing is computed."""
+    single = jnp.zeros((1, 3)), jnp.zeros((1, 2)), jnp.zeros(1)
+    return jax.eval_shape(outgoing, block.reflection, block.weight, *single).shape
 
 
 def _power(count: int, base: int, least: int = 1) -> int:
-    """The next of least · base^e."""
+    """The first of the numbers least · base^e that is at least the count."""
     while least < count:
         least *= base
     return least

@@ -166,17 +166,17 @@ class Clusters:
         }
 
     def compress(self, rows: Float[np.ndarray, "m k c n"], columns: Int[np.ndarray, " n"]) -> dict[str, np.ndarray]:
-        """The arrays of a layer, of a group's rows that are written out over some coefficients, and 0 elsewhere."""
+        """The arrays of a layer for a group's rows, which are given over some coefficients and are 0 elsewhere."""
         m, k, c, n = rows.shape
-        found, dropped = cluster(rows.reshape(m * k, c, n), self._spectrum[columns], self._tolerance)
-        coded = _coded("basis", np.ascontiguousarray(found.basis.T), self._bits)
-        coded |= _coded("weights", found.weights, self._bits)
+        group_cluster, dropped = cluster(rows.reshape(m * k, c, n), self._spectrum[columns], self._tolerance)
+        coded = _coded("basis", np.ascontiguousarray(group_cluster.basis.T), self._bits)
+        coded |= _coded("weights", group_cluster.weights, self._bits)
         if self._bits < 32:
             basis, weights = (_decoded(name, coded) for name in ("basis", "weights"))
-            lost = _mixed(found.weights, found.basis.T) - _mixed(weights, basis)
+            lost = _mixed(group_cluster.weights, group_cluster.basis.T) - _mixed(weights, basis)
             dropped = dropped + np.square(lost).sum(axis=-1)
         return {
-            "support": columns[found.support].astype(smallest_index_type(self._columns)),
+            "support": columns[group_cluster.support].astype(smallest_index_type(self._columns)),
             **coded,
             "dropped": dropped.reshape(m, k, c),
             "total": np.einsum("mkcd,mkcd->mkc", rows, rows),
@@ -214,10 +214,10 @@ def _coded_layout(name: str, shape: tuple[int, ...], scales: tuple[int, ...], bi
 def _coded(name: str, values: np.ndarray, bits: int, run: int | None = None) -> dict[str, np.ndarray]:
     if bits == 32:
         return {name: values}
-    found = quantised(values, bits, run) if values.size else None
-    if found is None:
+    coded = quantised(values, bits, run) if values.size else None
+    if coded is None:
         return {name: values.astype(f"int{bits}"), f"{name}_scale": np.zeros((*values.shape[:-1], 1), np.float32)}
-    return {name: np.asarray(found.codes), f"{name}_scale": np.asarray(found.scale)}
+    return {name: np.asarray(coded.codes), f"{name}_scale": np.asarray(coded.scale)}
 
 
 def _decoded(name: str, arrays: Mapping[str, np.ndarray], run: int | None = None) -> np.ndarray:

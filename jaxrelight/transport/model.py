@@ -263,8 +263,8 @@ def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.n
     with jax.ensure_compile_time_eval():
         packed = jax.jit(SpatialLobes.packed)(brdf)
         places = zip(receivers.uv[groups], receivers.footprint[groups], strict=True)
-        found = [_at(packed, uv.astype(np.float32), footprint.astype(np.float32)) for uv, footprint in places]
-        own = jax.tree.map(lambda *parts: np.stack(parts), *found)
+        lobes = [_at(packed, uv.astype(np.float32), footprint.astype(np.float32)) for uv, footprint in places]
+        own = jax.tree.map(lambda *parts: np.stack(parts), *lobes)
     return FixedView(jax.tree.map(lambda _: None, own), omega_o, own)
 
 
