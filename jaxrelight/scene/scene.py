@@ -156,9 +156,9 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
         if (albedo := made_light(surface)) > 1.01:
             assumptions.append(f"[material.{name}]: reflects {albedo:.3g} times the light it gets; lower its colours")
     for table in root.tables("mesh"):
-        made, found, notes = _parts(table, path.parent, materials)
-        parts += made
-        materials |= found
+        mesh_parts, mesh_materials, notes = _parts(table, path.parent, materials)
+        parts += mesh_parts
+        materials |= mesh_materials
         assumptions += notes
     root.finish()
     if not parts:
@@ -174,10 +174,10 @@ def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:
         InputError: as `load_scene` does, or if there is none.
     """
     path = pathlib.Path(path)
-    found = tuple(read_light(table, path.parent) for table in read_toml(path, "a scene").tables("light"))
-    if not found:
+    lights = tuple(read_light(table, path.parent) for table in read_toml(path, "a scene").tables("light"))
+    if not lights:
         raise InputError(f"{path}: has no [[light]]; add one")
-    return found
+    return lights
 
 
 def _camera(table: Table) -> Camera:
@@ -214,9 +214,9 @@ def _parts(
         raise InputError(f"{table.where}: give either 'file' or 'primitive'")
     name = table.text("file" if table.has("file") else "primitive")
     short = pathlib.PurePath(name).name
-    whole = table.has("material") or table.has("primitive")
+    one_material = table.has("material") or table.has("primitive")
     chosen = table.table("materials") if table.has("materials") else None
-    if chosen and whole:
+    if chosen and one_material:
         raise InputError(f"{table.where}: give either 'material' for all of it or 'materials' by part")
 
     def known(owner: Table, key: str) -> str:
@@ -230,14 +230,14 @@ def _parts(
     try:
         if table.has("primitive"):
             read = [meshes.MeshPart(_primitive(table), short, None)]
-        elif whole:
+        elif one_material:
             read = [meshes.MeshPart(meshes.load_mesh(folder / name), short, None)]
         else:
             read = meshes.load_parts(folder / name)
         read = _placed(table, read)
     except InputError as error:
         raise table.within(error) from None
-    if whole:
+    if one_material:
         parts = [Part(part.mesh, known(table, "material"), short) for part in read]
         table.finish()
         return parts, {}, []
