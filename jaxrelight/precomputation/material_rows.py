@@ -86,13 +86,13 @@ class MaterialRows:
         layers = self._layers(kind, layouts)
 
         def make(i: int, frames, lacking: list[int]) -> None:
-            # All together, also where some are there: they share what is looked at.
-            mine = [of_group(one, i) for one, _ in self.each]
-            found = gather.rows(self.receivers, int(self.groups[i]), frames, mine, channels)
+            # All are gathered together, also where some are there, since they share the rays.
+            reflections = [of_group(one, i) for one, _ in self.each]
+            by_reflection = gather.rows(self.receivers, int(self.groups[i]), frames, reflections, channels)
             for number in lacking:
-                one = found[number]
-                more = {} if one.emitted is None else {"emitted": one.emitted}
-                layers[number].write(i, **kept.compress(one.rows, one.columns), **more)
+                gathered = by_reflection[number]
+                more = {} if gathered.emitted is None else {"emitted": gathered.emitted}
+                layers[number].write(i, **kept.compress(gathered.rows, gathered.columns), **more)
 
         self._complete(layers, make, report)
 

@@ -87,28 +87,28 @@ def precompute(
         key = store.key_of(passes[-1].header["geometry"], passes[-1].header["materials"])
         gather = Gather(transport, key, method.gather_resolution, method.gather == "nearest")
     bounces = len(passes)
-    made = make_layers(scene, dataclasses.replace(method, bounces=bounces), folder, report, seconds, gather)
+    built = make_layers(scene, dataclasses.replace(method, bounces=bounces), folder, report, seconds, gather)
     notes = []
     if bounces < method.bounces:
         notes.append(
             f"{bounces} of {method.bounces} bounces were made: the others would add {left:.1%} of light at most"
         )
-    return _finished(made, seconds, passes, notes)
+    return _finished(built, seconds, passes, notes)
 
 
 def _finished(
-    made: BuiltLayers, seconds: dict[str, float], passes: Sequence[BuiltLayers], notes: Sequence[str] = ()
+    built: BuiltLayers, seconds: dict[str, float], passes: Sequence[BuiltLayers], notes: Sequence[str] = ()
 ) -> StoreBuild:
     """Writes the store's header."""
-    header = {**made.header, "passes": [_layers(one) for one in passes]}
-    store.write_header(made.folder, header)
+    header = {**built.header, "passes": [_layers(one) for one in passes]}
+    store.write_header(built.folder, header)
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
-        nbytes[name.split("-")[0]] += store.bytes_on_disk(made.folder / name)
-    rays = made.rays + sum(one.rays for one in passes)
-    assert made.geometry.receivers is not None
-    count = made.geometry.receivers.count
-    return StoreBuild(made.folder, seconds, rays, count, dict(nbytes), header, made.geometry, (*made.notes, *notes))
+        nbytes[name.split("-")[0]] += store.bytes_on_disk(built.folder / name)
+    rays = built.rays + sum(one.rays for one in passes)
+    assert built.geometry.receivers is not None
+    count = built.geometry.receivers.count
+    return StoreBuild(built.folder, seconds, rays, count, dict(nbytes), header, built.geometry, (*built.notes, *notes))
 
 
 def _transport_of(folder: pathlib.Path, header: dict, geometry: SceneGeometry) -> PrecomputedTransport:
@@ -118,35 +118,35 @@ def _transport_of(folder: pathlib.Path, header: dict, geometry: SceneGeometry) -
 
 
 def _of_pass(method: Transport, bounces: int) -> Transport:
-    """Those of the light that the next pass is gathered from."""
+    """The dials of the light that the next pass is gathered from."""
     compressed = method
     if method.coefficients == "all":
         compressed = dataclasses.replace(method, coefficients="shared")
     return dataclasses.replace(compressed, receivers="vertices", bounces=bounces)
 
 
-def _layers(made: BuiltLayers) -> list[str]:
+def _layers(built: BuiltLayers) -> list[str]:
     """The layers that a pass has of its own."""
     own = [
-        name for name in store.layers_of(made.header) if name.partition("-")[0] in ("factors", "transport", "bounced")
+        name for name in store.layers_of(built.header) if name.partition("-")[0] in ("factors", "transport", "bounced")
     ]
-    return sorted({made.header["visibility"], *own})
+    return sorted({built.header["visibility"], *own})
 
 
 def _largest_albedo(scene: Scene) -> float:
-    """Of the scene's materials, each the mean over its textures.
+    """The largest albedo of the scene's materials, each the mean over its textures.
 
     Raises:
         InputError: if one reflects all light, or more, so that bounces would not end.
     """
-    found = 0.0
+    largest = 0.0
     for name in sorted({part.material for part in scene.parts}):
         albedo = largest_albedo(as_material(scene.materials[name]))
-        # Of the quadrature that it is found by.
+        # The margin is for the error of the albedo's quadrature.
         if albedo >= 1 - 1e-4:
             raise InputError(
                 f"{scene.name}: material '{name}' reflects {albedo:.3f} of the light that it gets; bounced light needs "
                 "less than 1 of every material: make it darker, or leave --bounces out"
             )
-        found = max(found, albedo)
-    return found
+        largest = max(largest, albedo)
+    return largest

@@ -15,7 +15,7 @@ from jaxrelight.scene.scene import Scene
 
 
 class SurfaceAlbedo:
-    """Of each point the mean over directions of how much is reflected, by channel.
+    """The share of light that each point reflects, averaged over directions, by channel.
 
     Attributes:
         means: of each mesh, those of its material's components, and their weights.
@@ -25,7 +25,8 @@ class SurfaceAlbedo:
     def __init__(self, scene: Scene, surfaces: Surfaces):
         materials = {part.material: as_material(scene.materials[part.material]) for part in scene.parts}
         means = {
-            name: [(mean_albedo(one.brdf), one.weight) for one in each.components] for name, each in materials.items()
+            name: [(mean_albedo(component.brdf), component.weight) for component in material.components]
+            for name, material in materials.items()
         }
         self._surfaces = surfaces
         self.means = [means[part.material] for part in scene.parts]
@@ -34,7 +35,7 @@ class SurfaceAlbedo:
 
     @property
     def key(self) -> str:
-        """Of the albedos, and of where textures lie that tell them."""
+        """The key of the albedos, and of where the textures lie that tell them."""
         every = [pair for one in self.means for pair in one]
         where = [] if all(w.is_constant for _, ws in every for w in ws) else [self._surfaces.uv]
         return store.key_of(*([mean, *(np.asarray(w.pixels) for w in ws)] for mean, ws in every), *where)
@@ -46,23 +47,27 @@ class SurfaceAlbedo:
         back: Bool[np.ndarray, " p"],
         areas: Float[np.ndarray, " p"] | None = None,
     ) -> Float[np.ndarray, "p 3"]:
-        """Of points on faces, which stand for areas in scene space; both sides of a mesh are alike."""
+        """The albedos of points on faces, which stand for areas in scene space; both sides of a mesh are alike."""
         surfaces = self._surfaces
         corners = surfaces.faces[faces]
         mesh = surfaces.mesh_of_vertex[corners[:, 0]]
-        found = np.zeros((len(faces), 3))
+        albedos = np.zeros((len(faces), 3))
         for number in np.unique(mesh):
-            mine = np.flatnonzero(mesh == number)
+            of_mesh = np.flatnonzero(mesh == number)
             for albedo, weight in self.means[number]:
                 if all(texture.is_constant for texture in weight):
-                    found[mine] += albedo * np.prod([np.asarray(texture.pixels[0, 0]) for texture in weight], axis=0)
+                    albedos[of_mesh] += albedo * np.prod(
+                        [np.asarray(texture.pixels[0, 0]) for texture in weight], axis=0
+                    )
                     continue
-                uv = np.einsum("pk,pkx->px", barycentric[mine], surfaces.uv[corners[mine]])
-                covers = np.zeros(len(mine)) if areas is None else areas[mine] * surfaces.uv_densities(faces[mine])
-                length = bucket(len(mine), 1024)
+                uv = np.einsum("pk,pkx->px", barycentric[of_mesh], surfaces.uv[corners[of_mesh]])
+                covers = (
+                    np.zeros(len(of_mesh)) if areas is None else areas[of_mesh] * surfaces.uv_densities(faces[of_mesh])
+                )
+                length = bucket(len(of_mesh), 1024)
                 looked_up = _look_up(weight, filled_up(uv, length), filled_up(covers, length))
-                found[mine] += albedo * np.asarray(looked_up)[: len(mine)]
-        return found
+                albedos[of_mesh] += albedo * np.asarray(looked_up)[: len(of_mesh)]
+        return albedos
 
 
 @jax.jit
