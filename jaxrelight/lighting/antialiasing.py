@@ -13,9 +13,9 @@ from jaxrelight.geometry.gbuffer import GBuffer
 def nearest_pixels(
     fine: GBuffer, coarse: GBuffer, eye: Float[np.ndarray, "3"], pixel_angle: float
 ) -> Int[np.ndarray, "fh fw"]:
-    """Of each fine sample the pixel of the 3×3 around it that is most like it; −1 where none shows a surface.
+    """For each fine sample, the pixel of the 3×3 around it that is most like it; −1 where none shows a surface.
 
-    Like is what is near, measured in the three pixels' width at its distance from the eye, and of a like normal.
+    Samples are alike that are near, measured in three pixels' width at that distance, and have similar normals.
 
     Args:
         fine: samples, a whole number of times as many as pixels along both sides.
@@ -40,9 +40,9 @@ def nearest_pixels(
             unlike = apart + np.sum((fine.normals - coarse.normals[other]) ** 2, axis=1)
             better = (other >= 0) & (unlike < best)
             best, chosen = np.where(better, unlike, best), np.where(better, pixel[y + dy, x + dx], chosen)
-    found = np.full((fh, fw), -1)
-    found[fine.covered] = chosen
-    return found
+    nearest = np.full((fh, fw), -1)
+    nearest[fine.covered] = chosen
+    return nearest
 
 
 @functools.partial(jax.jit, static_argnames="factor")

@@ -88,9 +88,9 @@ def _reflected(radiance, components, pixels: SurfacePixels, positions, lights, b
         up = jnp.asarray([0, 0, 1], omega_i.dtype)
         pair = jnp.where(lit, omega_i, up), jnp.where(lit, omega_o, up)
         value = sum(
-            at_texel(one.brdf, uv, footprint, texels, lambda brdf: brdf.evaluate(*pair))
-            * look_up(one.weight, uv, footprint)
-            for one in components
+            at_texel(component.brdf, uv, footprint, texels, lambda brdf: brdf.evaluate(*pair))
+            * look_up(component.weight, uv, footprint)
+            for component in components
         )
         return jnp.where(lit, value * omega_i[2] * irradiance * visible, 0)
 

@@ -251,7 +251,9 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         terms = self.pixels.terms(self._encoded(light))
         if by != "all":
             chosen = [block.brdf.is_constant == (by == "diffuse") for block in self.transport.blocks]
-            terms = tuple(part if one else jnp.zeros_like(part) for part, one in zip(terms, chosen, strict=True))
+            terms = tuple(
+                part if is_chosen else jnp.zeros_like(part) for part, is_chosen in zip(terms, chosen, strict=True)
+            )
         return self.pixels.shade_terms(terms, view.pixels)
 
     def trace(self, lit: IndirectLight, view: IndirectView, *, report: Report | None = None) -> Visibility:

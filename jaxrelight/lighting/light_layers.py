@@ -52,8 +52,8 @@ class LightLayers:
             gains = [1.0] * len(self.lights)
         if len(gains) != len(self.lights):
             raise InputError(f"{len(gains)} gains were given for {len(self.lights)} lights")
-        each = [jnp.broadcast_to(jnp.asarray(gain, self.emitted.dtype), (3,)) for gain in gains]
-        return _mixed(self.pictures, jnp.stack(each), self.emitted) if each else self.emitted
+        colours = [jnp.broadcast_to(jnp.asarray(gain, self.emitted.dtype), (3,)) for gain in gains]
+        return _mixed(self.pictures, jnp.stack(colours), self.emitted) if colours else self.emitted
 
     def _alone(self, light: Light) -> Float[Array, "h w c"]:
         return self._radiance(light) - self.emitted

@@ -33,15 +33,15 @@ class SurfacePixels(eqx.Module):
 def places(parts: Sequence[SurfacePixels], count: int) -> Int[Array, " n"]:
     """Where `assembled` finds each of an image's pixels, of which every part shows others."""
     total = sum(len(part.pixel) for part in parts)
-    found, start = np.full(count, total, np.int32), 0
+    place_of_pixel, start = np.full(count, total, np.int32), 0
     for part in parts:
         pixel = np.asarray(part.pixel)
-        mine = np.flatnonzero(pixel < count)
-        found[pixel[mine]] = start + mine
+        in_image = np.flatnonzero(pixel < count)
+        place_of_pixel[pixel[in_image]] = start + in_image
         start += len(pixel)
-    # Kept by its owner, who may be asked first while something is traced.
+    # The owner keeps the array, and may be asked first while something is traced.
     with jax.ensure_compile_time_eval():
-        return jax.device_put(found)
+        return jax.device_put(place_of_pixel)
 
 
 @functools.partial(jax.jit, static_argnames="shape")

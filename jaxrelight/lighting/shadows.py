@@ -180,8 +180,8 @@ def sum_over_lights(
 ) -> Float[Array, "p c"]:
     """What each light of a group gives, added to what others give, in the precision of both.
 
-    One light at a time, of which nothing is held for derivatives but the light itself. Filling, and lights that reach
-    none of the points, cost nothing.
+    It is done for one light at a time; derivatives hold nothing of a light but the light itself. Filling, and lights
+    that reach none of the points, cost nothing.
 
     Args:
         one: what a light with its packed visibility gives.

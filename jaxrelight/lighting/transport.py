@@ -286,10 +286,10 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
 
 
 def _material(name: str, blocks: Sequence[Block]) -> SurfaceMaterial:
-    """A material put together from its blocks."""
-    mine = [block for block in blocks if block.material == name]
-    emission = next((block.emission for block in mine if block.emission is not None), None)
-    return surface_material(name, Material(tuple(Component(b.brdf, b.weight) for b in mine), None, emission))
+    """Puts a material together from its blocks."""
+    own_blocks = [block for block in blocks if block.material == name]
+    emission = next((block.emission for block in own_blocks if block.emission is not None), None)
+    return surface_material(name, Material(tuple(Component(b.brdf, b.weight) for b in own_blocks), None, emission))
 
 
 def _traced_view(
@@ -304,14 +304,16 @@ def _traced_view(
     weights = gbuffer.barycentric if vertices else np.ones((len(slots), 1))
     first = {block.material: block.first_group * GROUP for block in transport.blocks}
     number_of_pixel = np.cumsum(gbuffer.covered.ravel()) - 1
-    found = []
+    part_corners = []
     for part in surfaces.parts:
         pixel = np.asarray(part.pixels.pixel)
-        mine = number_of_pixel[pixel[pixel < gbuffer.covered.size]]
-        own = slots[mine] - first[materials[part.material].name]
-        every = np.arange(len(mine))
-        found.append(Corners(jax.device_put(padded(own, every)), jax.device_put(padded(weights[mine], every))))
-    return TransportView(surfaces, tuple(found))
+        pixel_numbers = number_of_pixel[pixel[pixel < gbuffer.covered.size]]
+        own = slots[pixel_numbers] - first[materials[part.material].name]
+        every = np.arange(len(pixel_numbers))
+        part_corners.append(
+            Corners(jax.device_put(padded(own, every)), jax.device_put(padded(weights[pixel_numbers], every)))
+        )
+    return TransportView(surfaces, tuple(part_corners))
 
 
 @jax.jit

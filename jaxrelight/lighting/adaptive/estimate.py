@@ -69,27 +69,27 @@ def estimate(
         seed: of the numbers that samples are drawn with.
         filtered: look up the mean of what a sample stands for; else the single texel, whose noise is larger.
         blocked: casts shadows; None for none.
-        report: hears of samples that are under way.
+        report: called with the number of samples that are under way.
     """
     dtype = jnp.result_type(light.radiance.values, pixels.omega_o)
     place, first, number = _listed(counts, dtype)
     total, waiting = as_array(np.zeros((len(number), 3)), dtype), []
-    for mine in zip(place, first, strict=True):
+    for batch in zip(place, first, strict=True):
         if report:
-            # Work is handed out ahead of what is done; not by more than a batch.
+            # Work is handed out ahead of what is done, but by no more than a batch.
             jax.block_until_ready(total)
-            report(RUN * len(mine[0]))
-        # Apart from what is done with them: XLA would draw anew for each of the BRDF's look-ups.
-        drawn = _directions(part, pixels, number, *mine, seed)
+            report(RUN * len(batch[0]))
+        # Directions are drawn in a program of their own: XLA would draw them anew for each of the BRDF's look-ups.
+        drawn = _directions(part, pixels, number, *batch, seed)
         if blocked is None:
-            total = _added(total, part, light, pixels, number, mine[0], drawn, filtered)
+            total = _added(total, part, light, pixels, number, batch[0], drawn, filtered)
         else:
-            waiting.append((mine[0], *_drawn(part, light, pixels, number, mine[0], drawn, filtered)))
+            waiting.append((batch[0], *_drawn(part, light, pixels, number, batch[0], drawn, filtered)))
             if len(waiting) > 1:
                 # Rays are cast while the next batch is drawn.
                 total = _lit(total, blocked, *waiting.pop(0))
-    for one in waiting:
-        total = _lit(total, blocked, *one)
+    for batch in waiting:
+        total = _lit(total, blocked, *batch)
     return _mean(total, number)
 
 
@@ -110,18 +110,18 @@ def list_work(
         blocked: casts shadows; None for none.
     """
     place, first, number = _listed(counts, pixels.omega_o.dtype)
-    # Few numbers of batches, each of which is compiled; filling is skipped.
+    # Batches are of few numbers, since each number is compiled; filling is skipped.
     batches = bucket(len(place), 8) if len(place) > 8 else len(place)
     visible = None if blocked is None else np.zeros((batches, _BATCH), np.uint16)
     if blocked is not None and visible is not None:
-        for batch, mine in enumerate(zip(place, first, strict=True)):
-            drawn = _directions(part, pixels, number, *mine, seed)
-            towards = np.asarray(_towards(part, pixels, mine[0], drawn))
-            open_to_light = _visible(blocked, mine[0], towards) > 0
+        for batch, runs in enumerate(zip(place, first, strict=True)):
+            drawn = _directions(part, pixels, number, *runs, seed)
+            towards = np.asarray(_towards(part, pixels, runs[0], drawn))
+            open_to_light = _visible(blocked, runs[0], towards) > 0
             visible[batch] = np.packbits(open_to_light, axis=1, bitorder="little").view(np.uint16)[:, 0]
     filled = np.full((batches, _BATCH), len(number), np.int32), np.zeros((batches, _BATCH), np.int32)
-    for whole, some in zip(filled, (place, first), strict=True):
-        whole[: len(some)] = some
+    for padded, listed in zip(filled, (place, first), strict=True):
+        padded[: len(listed)] = listed
     places, firsts = map(as_array, filled)
     return SampleWork(places, firsts, number, None if visible is None else as_array(visible))
 

@@ -24,13 +24,13 @@ from jaxtyping import Array, Bool, Float, Int
 LEVELS = 5
 # Cycles at which a parent counts e times less.
 _REACH = 0.15
-# Further away in the image, e times less at this many squared steps; and mirrors that differ by more are none at all.
+# A parent counts e times less at this many squared steps in the image, and not at all if mirrors differ by more.
 _IMAGE, _MOST_TURNED = 0.075, 0.5
-# Of weights' squares: what is further outside its parents than this would make their noise larger.
+# This bounds the weights' squares: what is further outside its parents would make their noise larger.
 _MOST_NOISE = 1.2
-# Of all parents together, the least that counts.
+# This is the least weight of all parents together that counts.
 _LEAST = 1e-3
-# Tolerances of levels: this power of two smaller from one to the next coarser one.
+# A level's tolerance is smaller by this power of two than that of the next finer level.
 _SHARE = 1.0
 # Lines and columns of a lattice's parents before its first pixel, and after its last one.
 _BEFORE, _AFTER = 1, 2
@@ -99,7 +99,7 @@ class Hierarchy(eqx.Module):
         return _interpolate(self.shaded, self.weights, image)
 
     def propagate_variance(self, variance: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """Of each pixel, about the variance that those of shaded pixels leave in it."""
+        """About the variance that the variances of shaded pixels leave in each pixel."""
         return _propagate_variance(self.shaded, self.weights, variance)
 
     def influence(self) -> Float[Array, "h w"]:
@@ -130,13 +130,13 @@ def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
 
 @jax.jit
 def _errors(features: Features, parent_rows, inside):
-    """By how much pixels between parents are off, and the parents' weights; of new pixels of all levels together."""
+    """How far off pixels between parents are, and the parents' weights, for the new pixels of all levels together."""
     h, w = features.kind.shape
-    # Planes: sums over an innermost axis of three are slow.
+    # Components are kept as planes, since sums over an innermost axis of three are slow.
     mirror, position = (_whole(jnp.moveaxis(x, -1, 0)) for x in (features.mirror, features.position))
     kinds = _whole(features.kind, -1)
     same = jnp.concatenate([mirror, position, kinds[None].astype(mirror.dtype)])
-    # Each level's on its own lattice.
+    # The rates of each level lie on its own lattice.
     most = [_whole(jnp.stack([features.angular, features.spatial, features.contrast]))]
     for level in range(LEVELS):
         most.append(_lattice(_most_around(most[-1], _lattice(kinds, level)), 1))
@@ -147,8 +147,8 @@ def _errors(features: Features, parent_rows, inside):
         parents.append((_wider(lattice - none) + none).reshape(len(lattice), -1))
         new = _new(jnp.concatenate([_lattice(same, level), most[level]]))
         own.append(new.reshape(*new.shape[:2], -1))
-    # A row for each parent, so that all that is asked of it is read at once. Compiled apart: fused with what follows,
-    # every look-up would make them anew.
+    # Each parent has a row, so that all that is asked of it is read at once. Rows are compiled apart: fused with what
+    # follows, every look-up would make them anew.
     parents, own = jax.lax.optimization_barrier((jnp.concatenate(parents, axis=1).T, jnp.concatenate(own, axis=2)))
     weights, errors = _between(own, parents, parent_rows, inside)
     error = jnp.full(_lattice(kinds, LEVELS).shape, jnp.inf, mirror.dtype)
@@ -165,17 +165,17 @@ def _new_shape(shape, level: int) -> tuple[int, int]:
 
 @functools.lru_cache(maxsize=4)
 def _parent_rows(shape) -> tuple[Array, Array, Array]:
-    """Of new pixels of a kind, of all levels: their lattice's first row of parents, rows of a line, and the level."""
-    found, start = [], 0
+    """For new pixels of a kind of all levels: their lattice's first row of parents, rows of a line, and the level."""
+    rows_by_level, start = [], 0
     for level in _COARSE_TO_FINE:
         h, w = _new_shape(shape, level)
         line = w + _BEFORE + _AFTER
         first = start + np.arange(h)[:, None] * line + np.arange(w)
-        found.append(np.stack([first.reshape(-1), np.full(h * w, line), np.full(h * w, level)]))
+        rows_by_level.append(np.stack([first.reshape(-1), np.full(h * w, line), np.full(h * w, level)]))
         start += (h + _BEFORE + _AFTER) * line
-    # Kept, so they must not be a caller's tracers.
+    # The arrays are cached, so they must not be a caller's tracers.
     with jax.ensure_compile_time_eval():
-        first, line, level = (jax.device_put(of.astype(np.int32)) for of in np.concatenate(found, axis=1))
+        first, line, level = (jax.device_put(of.astype(np.int32)) for of in np.concatenate(rows_by_level, axis=1))
         return first, line, level
 
 
@@ -189,7 +189,7 @@ def _of_level(of_all, level: int, shape):
 def _across(mirror):
     """Two unit directions square to each mirror and to each other."""
     x, y, z = mirror
-    # Square to the second axis of the world; where that is near, to the first.
+    # They are square to the second axis of the world, or to the first where the second is near.
     far = jnp.abs(y) < 0.9
     right = jnp.stack([jnp.where(far, -z, 0), jnp.where(far, 0, z), jnp.where(far, x, -y)])
     right = right / jnp.maximum(jnp.sqrt(_sum(right**2)), 1e-9)[None]
@@ -200,15 +200,15 @@ def _across(mirror):
 def _most_around(rates, kinds):
     """The largest of each pixel and its kind around: an edge asks for all pixels whose parents span it."""
     for axis in (-2, -1):
-        found, size = rates, rates.shape[axis]
+        largest, size = rates, rates.shape[axis]
         for start in (0, 2):
-            # Outside is no kind.
+            # Pixels outside are of no kind.
             there, theirs = (
                 jax.lax.slice_in_dim(_padded(x, 1, 1, fill, (axis,)), start, start + size, axis=x.ndim + axis)
                 for x, fill in ((kinds, -2), (rates, 0))
             )
-            found = jnp.maximum(found, jnp.where(there == kinds, theirs, 0))
-        rates = found
+            largest = jnp.maximum(largest, jnp.where(there == kinds, theirs, 0))
+        rates = largest
     return rates
 
 
@@ -345,31 +345,33 @@ def _passed(shaded, weights, image, joined):
     """
     h, w = image.shape[:2]
     shaded, image = _whole(shaded), _whole(jnp.moveaxis(image, -1, 0))
-    found = _lattice(image, LEVELS)
+    lattice = _lattice(image, LEVELS)
     for level in _COARSE_TO_FINE:
-        coarse, own = _wider(found), _new(_lattice(image, level))
+        coarse, own = _wider(lattice), _new(_lattice(image, level))
 
         def added(total, of_parent, coarse=coarse):
             weight, corners = of_parent
-            given = jnp.stack([_moved(coarse, *corner) for corner in corners], axis=1)
+            parent_values = jnp.stack([_moved(coarse, *corner) for corner in corners], axis=1)
             # Weights of all channels alike lack their axis.
-            return total + jnp.broadcast_to(weight, given.shape) * given, None
+            return total + jnp.broadcast_to(weight, parent_values.shape) * parent_values, None
 
-        given = _of_level(weights, level, (h, w)), _CORNERS
+        parents = _of_level(weights, level, (h, w)), _CORNERS
         start = jnp.zeros(own.shape, jnp.result_type(own, weights))
-        between, _ = jax.lax.scan(added, start, given)
-        found = _woven(found, jnp.where(_new(_lattice(shaded, level)), own, joined(own, between)))
-    return jnp.moveaxis(found[:, :h, :w], 0, -1)
+        between, _ = jax.lax.scan(added, start, parents)
+        lattice = _woven(lattice, jnp.where(_new(_lattice(shaded, level)), own, joined(own, between)))
+    return jnp.moveaxis(lattice[:, :h, :w], 0, -1)
 
 
 @jax.jit
 def _propagate_variance(shaded, weights, variance):
     """Noise of shaded parents is independent; that of parents which lie between the same pixels is alike."""
-    both = jnp.stack([weights**2, jnp.abs(weights)], axis=1)
+    weight_powers = jnp.stack([weights**2, jnp.abs(weights)], axis=1)
     own = jnp.where(shaded, variance, 0)
     image = jnp.stack([own, jnp.zeros_like(own)], axis=-1)
-    found = _passed(shaded, both, image, lambda _, between: jnp.stack([jnp.zeros_like(between[0]), sum(between)]))
-    return jnp.sum(found, axis=-1)
+    variances = _passed(
+        shaded, weight_powers, image, lambda _, between: jnp.stack([jnp.zeros_like(between[0]), sum(between)])
+    )
+    return jnp.sum(variances, axis=-1)
 
 
 @jax.jit

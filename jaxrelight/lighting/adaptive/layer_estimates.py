@@ -20,9 +20,9 @@ from jaxrelight.lights.environment_mipmap import EnvironmentMipmap
 
 # How noise falls is tried out on so many pixels of each component, with few and with more samples, against many.
 _TRIED, _FEW, _MORE, _EXACT = 384, 32, 256, 512
-# By what powers of the number of samples error² can fall: random numbers' 1, and somewhat beyond that of even ones.
+# Error² can fall by these powers of the number of samples: from 1, of random numbers, to somewhat beyond even ones.
 _FALLS = 0.9, 1.6
-# Seeds of both trials; users' are others.
+# These are the seeds of both trials; users' seeds are others.
 _TRIALS = -1, -2
 
 
@@ -43,9 +43,9 @@ def estimate_layer(
         white: the radiance that is displayed as 1.
     """
     rows, kind, parts = [], np.full(view.padded_shape, -1, np.int32), view.part_image()
-    for part, (probe, of_part, mine) in enumerate(zip(view.probes, predicted, weights, strict=True)):
+    for part, (probe, of_part, part_weights) in enumerate(zip(view.probes, predicted, weights, strict=True)):
         if number < len(of_part):
-            rows.append((probe.pixels.pixel, _depends_on(mine, probe.pixels, of_part, number, white)))
+            rows.append((probe.pixels.pixel, _depends_on(part_weights, probe.pixels, of_part, number, white)))
             kind[parts == part] = part
     image = largest_around(scattered(rows, view.padded_shape), 2 * view.factor + 1)
     angular, spatial, contrast, visible, deviation, bandwidth = image
@@ -64,9 +64,9 @@ def calibrate(
     layers: Sequence[LayerEstimate],
     blocked: Sequence[Blocked | None],
 ) -> tuple[list[LayerEstimate], float]:
-    """Layers with deviations as they are found by trial, and the power by which error² falls.
+    """Layers with deviations that trials measured, and the power by which error² falls.
 
-    Tried out on few pixels: skies, materials and shadows differ in how soon samples meet all there is.
+    A few pixels are tried, since skies, materials and shadows differ in how soon samples meet all there is.
 
     Args:
         view: whose pixels.
@@ -75,12 +75,12 @@ def calibrate(
         layers: as they are predicted.
         blocked: casts the shadows of each part.
     """
-    # Of each layer's parts, error² found and expected, of few samples and of more.
+    # Measured and expected error² of each layer's parts, with few samples and with more.
     tried: dict[tuple[int, int], np.ndarray] = {}
     for layer in layers:
-        for number, (part, mine) in enumerate(zip(view.surfaces.parts, samplers, strict=True)):
-            if layer.number < len(mine):
-                sums = _try(view, light, part.pixels, mine[layer.number], layer, number, blocked[number])
+        for number, (part, part_samplers) in enumerate(zip(view.surfaces.parts, samplers, strict=True)):
+            if layer.number < len(part_samplers):
+                sums = _try(view, light, part.pixels, part_samplers[layer.number], layer, number, blocked[number])
                 tried[layer.number, number] = sums
     total = np.sum(list(tried.values()), axis=0) if tried else np.zeros((2, 2))
     if total.min() <= 0:
@@ -92,7 +92,7 @@ def calibrate(
         scale = np.zeros(parts.shape)
         for (of_layer, number), sums in tried.items():
             if of_layer == layer.number:
-                # Where trials found nothing, as in all parts together.
+                # Where trials measured nothing, the parts together tell the scale.
                 few, more = np.divide(*(sums if sums.min() > 0 else total))
                 scale[parts == number] = (few * more) ** 0.25 * (_FEW * _MORE) ** (power / 4)
         deviation = np.asarray(layer.deviation)
@@ -103,7 +103,7 @@ def calibrate(
 def _try(
     view: AdaptiveView, light, pixels, part: SampledBrdf, layer: LayerEstimate, number: int, blocked
 ) -> np.ndarray:
-    """Of some pixels, error² found and expected, each of few samples and of more."""
+    """Measured and expected error² of some pixels, each with few samples and with more."""
     deviation, visible = (view.of_part(number, np.asarray(of)).astype(float) for of in (layer.deviation, layer.visible))
     real = np.flatnonzero(deviation > 0)
     places = real[np.unique(np.linspace(0, len(real) - 1, 2 * _TRIED).astype(int))] if len(real) else real
@@ -111,8 +111,8 @@ def _try(
     counts[places[::2]], counts[places[1::2]] = _FEW, _MORE
     many = np.where(counts > 0, _EXACT, 0)
     few, exact = (
-        np.asarray(estimate(part, light, pixels, each, seed, blocked=blocked))
-        for each, seed in zip((counts, many), _TRIALS, strict=True)
+        np.asarray(estimate(part, light, pixels, sample_counts, seed, blocked=blocked))
+        for sample_counts, seed in zip((counts, many), _TRIALS, strict=True)
     )
     apart = np.mean((few - exact) ** 2, axis=1) * visible**2
     return np.asarray([[float(of[counts == n].sum()) for n in (_FEW, _MORE)] for of in (apart, deviation**2)])
@@ -130,19 +130,22 @@ def display_slope(value: Float[Array, "*p"]) -> Float[Array, "*p"]:
 
 @functools.partial(jax.jit, static_argnames="k")
 def _depends_on(weights, pixels: SurfacePixels, predicted: tuple[Prediction, ...], k: int, white):
-    """Of each pixel what `Features` and `LayerEstimate` tell of component k, by what is predicted of all of them."""
+    """What `Features` and `LayerEstimate` tell of component k at each pixel, from the predictions of all components."""
     shares = [jnp.mean(looked_up(weight, pixels), axis=1) for weight in weights]
-    total = sum(share * one.radiance for share, one in zip(shares, predicted, strict=True))
+    total = sum(share * prediction.radiance for share, prediction in zip(shares, predicted, strict=True))
     visible = shares[k] * display_slope(total / white) / white
-    one = predicted[k]
+    prediction = predicted[k]
     # Filtered look-ups take off the more the larger it is: of what is left, the root goes by it.
-    deviation = visible * (white**2 * one.variance) ** 0.25
-    return jnp.stack([one.angular, one.spatial, visible * one.contrast, visible, deviation, one.image], axis=1)
+    deviation = visible * (white**2 * prediction.variance) ** 0.25
+    return jnp.stack(
+        [prediction.angular, prediction.spatial, visible * prediction.contrast, visible, deviation, prediction.image],
+        axis=1,
+    )
 
 
 @jax.jit
 def _mirrored(pixels: SurfacePixels):
-    """Where each pixel mirrors the eye. Written out: products of small matrices are slow."""
+    """Where each pixel mirrors the eye. It is written out, since products of small matrices are slow."""
     x, y, z = (pixels.omega_o[:, k, None] * pixels.frame[:, k] for k in range(3))
     return z - x - y
 
@@ -154,14 +157,14 @@ def looked_up(weight: Weight, pixels: SurfacePixels) -> Float[Array, "p c"]:
 
 @functools.partial(jax.jit, static_argnames="window")
 def largest_around(image: Float[Array, "h w c"], window: int) -> tuple[Float[Array, "h w"], ...]:
-    """The largest around each pixel, by channel, which then come first."""
-    whole, reach, steps = window // 2, 0, []
-    while reach < whole:
-        # Of three pixels so far apart, each the largest around.
-        steps.append(min(2 * reach + 1, whole - reach))
+    """The largest value around each pixel; channels then come first."""
+    half_window, reach, steps = window // 2, 0, []
+    while reach < half_window:
+        # The largest of three pixels so far apart, each of which is the largest around.
+        steps.append(min(2 * reach + 1, half_window - reach))
         reach += steps[-1]
     for axis in (0, 1):
-        image = jnp.pad(image, [(whole * (k == axis),) * 2 for k in range(3)], constant_values=-jnp.inf)
+        image = jnp.pad(image, [(half_window * (k == axis),) * 2 for k in range(3)], constant_values=-jnp.inf)
         for step in steps:
             three, apart = ([value if k == axis else 1 for k in range(3)] for value in (3, step))
             image = jax.lax.reduce_window(

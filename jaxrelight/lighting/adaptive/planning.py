@@ -1,7 +1,7 @@
 """From what is predicted to where to shade, and how often: the cheapest way to an error, or the best of a budget.
 
 Every tolerance of what lies between pixels leaves an error, and noise is spread over what is shaded by how many others
-depend on it. Among tolerances the best is found by trying.
+depend on it. The best tolerance is found by trying.
 """
 
 import dataclasses
@@ -87,13 +87,13 @@ class Plan(eqx.Module):
         if not self.layers:
             return {name: np.zeros(self.shape) for name in ("bandwidth", "level", "samples", "error")}
         layers, (rows, columns) = self.layers, self.shape
-        found = {
+        maps = {
             "bandwidth": np.max([np.asarray(layer.bandwidth) for layer in layers], axis=0),
             "level": np.min([layer.hierarchy.levels() for layer in layers], axis=0).astype(float),
             "samples": np.sum([np.asarray(layer.counts) for layer in layers], axis=0).astype(float),
             "error": np.sqrt(np.sum([np.asarray(layer.error, float) ** 2 for layer in layers], axis=0)),
         }
-        return {name: image[:rows, :columns] for name, image in found.items()}
+        return {name: image[:rows, :columns] for name, image in maps.items()}
 
 
 class LayerEstimate(NamedTuple):
@@ -133,7 +133,7 @@ def make_plan(
     def cost(step: int) -> float:
         """The error of a budget, or the budget of an error."""
         if step not in tried:
-            layers = [_candidate(one, _TOLERANCES[step], power) for one in estimates]
+            layers = [_candidate(estimate, _TOLERANCES[step], power) for estimate in estimates]
             tried[step] = _Candidate(
                 layers,
                 sum(layer.error for layer in layers) / pixels,
@@ -154,8 +154,10 @@ def make_plan(
     best = tried[step]
     counts = _counts([(layer.wanted, layer.hierarchy.shaded) for layer in best.layers], best.budget)
     layers = [
-        LayerPlan(layer.hierarchy, as_array(each), one.bandwidth, one.deviation, as_array(power, np.float32))
-        for one, layer, each in zip(estimates, best.layers, counts, strict=True)
+        LayerPlan(
+            layer.hierarchy, as_array(layer_counts), estimate.bandwidth, estimate.deviation, as_array(power, np.float32)
+        )
+        for estimate, layer, layer_counts in zip(estimates, best.layers, counts, strict=True)
     ]
     between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
     return Plan(shape, tuple(layers), as_array(between, np.float32), as_array(noisy, np.float32), shadows)
@@ -236,15 +238,15 @@ def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
     wanted = [np.asarray(of)[where].astype(float) / RUN for (of, _), where in zip(layers, shaded, strict=True)]
 
     def at(scale: float):
-        return [np.round(np.clip(scale * one, 1, MAX_POINTS // RUN)) * RUN for one in wanted]
+        return [np.round(np.clip(scale * of_layer, 1, MAX_POINTS // RUN)) * RUN for of_layer in wanted]
 
-    low, high = 0.0, 2 * budget / max(sum(float(one.sum()) for one in wanted), 1e-30)
+    low, high = 0.0, 2 * budget / max(sum(float(of_layer.sum()) for of_layer in wanted), 1e-30)
     for _ in range(16):
         middle = (low + high) / 2
-        low, high = (low, middle) if sum(each.sum() for each in at(middle)) > budget else (middle, high)
+        low, high = (low, middle) if sum(layer_counts.sum() for layer_counts in at(middle)) > budget else (middle, high)
     counts = [np.zeros(where.shape, np.int32) for where in shaded]
-    for image, where, each in zip(counts, shaded, at(low), strict=True):
-        image[where] = each
+    for image, where, layer_counts in zip(counts, shaded, at(low), strict=True):
+        image[where] = layer_counts
     return counts
 
 

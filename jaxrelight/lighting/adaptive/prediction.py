@@ -117,8 +117,8 @@ def predict(
     # Of the light, what is expected of the next sample when all so far were hidden.
     unseen = 1 / (samples + 2)
 
-    def one(given):
-        frame, omega_o, uv, footprint, curvature, distance, omega_i, density, *hidden = given
+    def predict_pixel(pixel_inputs):
+        frame, omega_o, uv, footprint, curvature, distance, omega_i, density, *hidden = pixel_inputs
         point = part.towards(omega_o, uv, footprint)
         # Mirrors turn twice as far as normals, and a pixel is longer where the surface is seen obliquely.
         turn = 2 * curvature * distance * pixel_angle * spacing / jnp.maximum(omega_o[2], _LEAST_COSINE)
@@ -142,41 +142,43 @@ def predict(
             leaving = reflected(arriving, drawn.omega_i[2], point.omega_o[2], curvature, own, texture)
             # Seen from afar, what varies along the surface varies with the angle between pixels.
             seen = travelled(leaving, distance).a * pixel_angle
-            whole, far = weight * mean, hidden[0] if hidden else jnp.full_like(mean, jnp.inf)
-            given = jnp.where(jnp.isinf(far), whole, 0)
+            unshadowed, far = weight * mean, hidden[0] if hidden else jnp.full_like(mean, jnp.inf)
+            contribution = jnp.where(jnp.isinf(far), unshadowed, 0)
             return {
-                "whole": whole,
-                "given": given,
+                "unshadowed": unshadowed,
+                "contribution": contribution,
                 "square": jnp.where(jnp.isinf(far), 1, unseen) * weight**2 * square,
-                "angular": given * jnp.minimum(own, varied) ** 2,
-                "edge": whole * own,
-                "spatial": jnp.where(jnp.isinf(far), 0, whole * own / jnp.maximum(far, _LEAST_DISTANCE * distance)),
-                "image": given * seen,
-                "largest": jnp.where(given > 0, seen, 0),
-                "varied": given**2 * (own + varied),
+                "angular": contribution * jnp.minimum(own, varied) ** 2,
+                "edge": unshadowed * own,
+                "spatial": jnp.where(
+                    jnp.isinf(far), 0, unshadowed * own / jnp.maximum(far, _LEAST_DISTANCE * distance)
+                ),
+                "image": contribution * seen,
+                "largest": jnp.where(contribution > 0, seen, 0),
+                "varied": contribution**2 * (own + varied),
             }
 
         every = jax.vmap(sample)(omega_i, density, *hidden)
-        found = {name: jnp.mean(values) for name, values in every.items()}
-        radiance, whole = found["given"], found["whole"]
-        some, all_of_it = (jnp.where(x > 0, x, 1) for x in (radiance, whole))
+        means = {name: jnp.mean(values) for name, values in every.items()}
+        radiance, unshadowed = means["contribution"], means["unshadowed"]
+        some, all_of_it = (jnp.where(x > 0, x, 1) for x in (radiance, unshadowed))
         # 1 where half of the light is hidden; the finest thing that hides is as far from all as from none.
         share = jnp.minimum(1 - radiance / all_of_it, 1 - unseen)
-        edge = jnp.where(whole > 0, 4 * share * (1 - share), 0)
+        edge = jnp.where(unshadowed > 0, 4 * share * (1 - share), 0)
         taken = jnp.where(share > 0, share * all_of_it, 1)
         return Prediction(
             radiance,
-            jnp.maximum(found["square"] - radiance**2, 0),
-            radiance + edge * whole,
-            jnp.sqrt(jnp.maximum(found["angular"] / some, 1e-12)) + edge * found["edge"] / all_of_it,
-            jnp.maximum(edge * found["spatial"] / taken, texture),
-            found["image"] / some,
+            jnp.maximum(means["square"] - radiance**2, 0),
+            radiance + edge * unshadowed,
+            jnp.sqrt(jnp.maximum(means["angular"] / some, 1e-12)) + edge * means["edge"] / all_of_it,
+            jnp.maximum(edge * means["spatial"] / taken, texture),
+            means["image"] / some,
             jnp.max(every["largest"]),
-            found["varied"],
+            means["varied"],
         )
 
     rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, curvature, distance, *drawn
-    return jax.lax.map(one, rows if hidden is None else (*rows, hidden), batch_size=_PIXEL_BATCH)
+    return jax.lax.map(predict_pixel, rows if hidden is None else (*rows, hidden), batch_size=_PIXEL_BATCH)
 
 
 def _world(omega, frame):

@@ -65,7 +65,7 @@ class SampledMaterial(eqx.Module):
 
     def unsampled(self) -> SurfaceMaterial:
         """The material alone."""
-        components = tuple(SurfaceComponent(one.sampler.brdf, one.weight) for one in self.components)
+        components = tuple(SurfaceComponent(component.sampler.brdf, component.weight) for component in self.components)
         return SurfaceMaterial(self.name, components, self.emission)
 
 
@@ -73,7 +73,7 @@ def sampled_materials(
     materials: Sequence[SurfaceMaterial], report: Report | None = None
 ) -> tuple[SampledMaterial, ...]:
     """Finds what draws directions for every BRDF; seconds for one that is no sum of lobes."""
-    brdfs = {id(one.brdf): one.brdf for material in materials for one in material.components}
+    brdfs = {id(component.brdf): component.brdf for material in materials for component in material.components}
     samplers: dict[int, SampledBrdf] = {}
     for done, (key, brdf) in enumerate(brdfs.items()):
         if report:
@@ -82,7 +82,9 @@ def sampled_materials(
     return tuple(
         SampledMaterial(
             material.name,
-            tuple(SampledComponent(samplers[id(one.brdf)], one.weight) for one in material.components),
+            tuple(
+                SampledComponent(samplers[id(component.brdf)], component.weight) for component in material.components
+            ),
             material.emission,
         )
         for material in materials
@@ -132,11 +134,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         """The materials without what draws directions for them."""
         return tuple(
             SurfaceMaterial(
-                one.name,
-                tuple(SurfaceComponent(part.sampler.brdf, part.weight) for part in one.components),
-                one.emission,
+                material.name,
+                tuple(SurfaceComponent(part.sampler.brdf, part.weight) for part in material.components),
+                material.emission,
             )
-            for one in self.sampled_materials
+            for material in self.sampled_materials
         )
 
     def scene_lights(self) -> Lights:
@@ -292,8 +294,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             report("plan", 0, 1)
         predicted = predicted or self.predicted(lit, view)
         components = self._components(view)
-        samplers = [[part.sampler for part in mine] for mine in components]
-        weights, white = [[part.weight for part in mine] for mine in components], 2.0**-method.exposure
+        samplers = [[part.sampler for part in part_components] for part_components in components]
+        weights, white = (
+            [[part.weight for part in part_components] for part_components in components],
+            2.0**-method.exposure,
+        )
         count = max(map(len, components), default=0)
         layers = [estimate_layer(view, weights, predicted, number, white) for number in range(count)]
         blocked = [self._blocked(view, part) for part in range(len(components))]
@@ -330,10 +335,10 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             part = view.surfaces.parts[number]
             counts = np.where(np.asarray(part.pixels.pixel) < view.surfaces.covered.size, samples, 0)
             radiance = jnp.zeros((len(counts), 3), part.pixels.omega_o.dtype)
-            for one in components:
+            for component in components:
                 arguments = part.pixels, counts, self.method.seed, filtered, self._blocked(view, number)
                 radiance = _weighed(
-                    one.weight, part.pixels, estimate(one.sampler, _mipmap_of(lit), *arguments), radiance
+                    component.weight, part.pixels, estimate(component.sampler, _mipmap_of(lit), *arguments), radiance
                 )
             rows.append(radiance)
         return view.surfaces.image(rows)
@@ -353,10 +358,10 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         rows = [jnp.zeros((len(part.pixels.pixel), 3), part.pixels.omega_o.dtype) for part in view.surfaces.parts]
         for number, layer in enumerate(plan.layers):
             shaded = []
-            for part, mine in enumerate(components):
-                if number >= len(mine):
+            for part, part_components in enumerate(components):
+                if number >= len(part_components):
                     continue
-                sampler, pixels = mine[number].sampler, view.surfaces.parts[part].pixels
+                sampler, pixels = part_components[number].sampler, view.surfaces.parts[part].pixels
                 listed = None if work is None else work[number][part]
                 if listed is not None:
                     radiance = estimate_listed(sampler, light, pixels, listed, seed, filtered)

@@ -131,16 +131,16 @@ def make_view(
     return AdaptiveView(surfaces, tuple(probes), tuple(places), angle, factor, shape)
 
 
-def _is_probed(mine: Bool[np.ndarray, "h w"], every: Bool[np.ndarray, "h w"], factor: int) -> Bool[np.ndarray, " p"]:
-    """Of an image's pixels those on the lattice, and those of a part that has none of these around."""
-    near = np.asarray(ndimage.maximum_filter(mine & every, 2 * factor + 1, mode="constant"), bool)
-    return (mine & (every | ~near)).ravel()
+def _is_probed(of_part: Bool[np.ndarray, "h w"], every: Bool[np.ndarray, "h w"], factor: int) -> Bool[np.ndarray, " p"]:
+    """Whether each pixel of an image is on the lattice, or of a part that has none of these pixels around."""
+    near = np.asarray(ndimage.maximum_filter(of_part & every, 2 * factor + 1, mode="constant"), bool)
+    return (of_part & (every | ~near)).ravel()
 
 
 def _part_image(pixels: Sequence[SurfacePixels], places, shape: tuple[int, int]) -> Int[np.ndarray, "h w"]:
     parts = np.full(math.prod(shape) + 1, -1, np.int32)
-    for number, (one, place) in enumerate(zip(pixels, places, strict=True)):
-        parts[np.asarray(place)[np.asarray(one.omega_o)[:, 2] > 0]] = number
+    for number, (part_pixels, place) in enumerate(zip(pixels, places, strict=True)):
+        parts[np.asarray(place)[np.asarray(part_pixels.omega_o)[:, 2] > 0]] = number
     return parts[:-1].reshape(shape)
 
 
