@@ -35,15 +35,15 @@ def with_dials(command: Any, arguments: Sequence[str]) -> type:
         print(f"jaxrelight: {refused}", file=sys.stderr)
         sys.exit(2)
     method, hides = METHODS[lighting], asks_for_help and not shows_all
-    others = [name for name, methods in _ONLY_OF.items() if lighting not in methods]
-    own = _options(command, [*others, *(_ADVANCED if hides else ())])
+    options_of_others = [name for name, methods in _ONLY_OF.items() if lighting not in methods]
+    own = _options(command, [*options_of_others, *(_ADVANCED if hides else ())])
     dial_options = _options(method, [*_SHARED, *(method.advanced if hides else ())])
     dials = dataclasses.make_dataclass("Dials", dial_options, frozen=True)
     dials.__doc__ = (method.__doc__ or "").partition("\n")[0]
     more = [("dials", tyro.conf.OmitArgPrefixes[dials], dials()), ("method", tyro.conf.Suppress[str], lighting)]
-    made = dataclasses.make_dataclass(command.__name__, own + more, bases=(command,), frozen=True)
-    made.__doc__ = command.__doc__
-    return made
+    extended = dataclasses.make_dataclass(command.__name__, own + more, bases=(command,), frozen=True)
+    extended.__doc__ = command.__doc__
+    return extended
 
 
 def method_of(command: Any, **shared: object) -> Method:
@@ -97,7 +97,7 @@ def _refusal(arguments: Sequence[str], lighting: str, why: str) -> str:
     for argument in arguments:
         option = argument.partition("=")[0].replace("_", "-")
         name = option.removeprefix("--").removeprefix("no-").replace("-", "_")
-        owners = _ONLY_OF.get(name) or [one for one, kind in METHODS.items() if name in documentation(kind)]
+        owners = _ONLY_OF.get(name) or [method for method, kind in METHODS.items() if name in documentation(kind)]
         if option.startswith("--") and owners and lighting not in owners and name not in _SHARED:
             return f"{option} is a dial of --lighting {' or '.join(owners)}; {why}"
     return ""

@@ -103,8 +103,8 @@ class ViewOptions:
 
     def camera(self, default: "Camera") -> "Camera":
         """The camera that these options and the scene's own make together."""
-        given = {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
-        return dataclasses.replace(default, **given)
+        overrides = {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
+        return dataclasses.replace(default, **overrides)
 
 
 @dataclasses.dataclass(frozen=True)
