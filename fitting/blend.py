@@ -49,9 +49,9 @@ def blended(
         raise InputError(f"the share of a blend must be from 0 to 1, not {share}")
     if first.channels != second.channels:
         raise InputError(f"BRDFs of {first.channels} and of {second.channels} channels cannot be blended")
-    one, two = (sample(brdf, grid) for brdf in (first, second))
-    mean = (1 - share) * one.values + share * two.values
-    return fit_lafortune(BrdfSamples(one.omega_i, one.omega_o, mean), options, weight)
+    first_samples, second_samples = (sample(brdf, grid) for brdf in (first, second))
+    mean = (1 - share) * first_samples.values + share * second_samples.values
+    return fit_lafortune(BrdfSamples(first_samples.omega_i, first_samples.omega_o, mean), options, weight)
 
 
 def uniform(brdf: LobeSum, shape: tuple[int, int]) -> SbrdfLevel:
@@ -113,26 +113,26 @@ def composed(
     count = (masks > 0).sum(axis=2)
     mixed = count > 1
     if mixed.any():
-        found = refitted(jax.tree.map(lambda a: a[mixed], texels), masks[mixed], options)
+        parameters = refitted(jax.tree.map(lambda a: a[mixed], texels), masks[mixed], options)
     else:
-        found = np.zeros((0, 7 * options.lobes + 7), np.float32)
-    made = as_level(found, mixed, normals, options)
+        parameters = np.zeros((0, 7 * options.lobes + 7), np.float32)
+    blended = as_level(parameters, mixed, normals, options)
     single, owner = count == 1, masks.argmax(axis=2)[..., None]
 
     def chosen(maps, otherwise):
         """The owner's texels where there is a single one. Maps [h, w, q, …]."""
         index = owner.reshape(*owner.shape, *[1] * (maps.ndim - 3))
-        mine = np.take_along_axis(maps, index, axis=2)[:, :, 0]
-        return np.where(single.reshape(*single.shape, *[1] * (mine.ndim - 2)), mine, np.asarray(otherwise))
+        of_owner = np.take_along_axis(maps, index, axis=2)[:, :, 0]
+        return np.where(single.reshape(*single.shape, *[1] * (of_owner.ndim - 2)), of_owner, np.asarray(otherwise))
 
     flags, residuals = (
         np.stack([getattr(level, name) for level, _ in layers], axis=2) for name in ("flag", "residual")
     )
     return SbrdfLevel(
-        jax.tree.map(lambda maps, other: jnp.asarray(chosen(maps, other)), texels, made.lobes),
+        jax.tree.map(lambda maps, other: jnp.asarray(chosen(maps, other)), texels, blended.lobes),
         normals,
-        chosen(flags, made.flag),
-        chosen(residuals, made.residual),
+        chosen(flags, blended.flag),
+        chosen(residuals, blended.residual),
     )
 
 
@@ -155,16 +155,16 @@ def _masks(layers) -> Float[np.ndarray, "h w q"]:
 
 
 def _with_lobes(texels: SpatialLobes, count: int) -> SpatialLobes:
-    """As many lobes as `count`; those that are added are black, and can be interpolated."""
+    """Texels of as many lobes as `count`; those that are added are black, and can be interpolated."""
     added = count - texels.lobes
     h, w = texels.shape
     C = jnp.broadcast_to(jnp.asarray([-1.0, -1.0, 1.0], texels.C.dtype), (h, w, added, 3))
-    one = jnp.ones((h, w, added), texels.exponent.dtype)
+    ones = jnp.ones((h, w, added), texels.exponent.dtype)
     black = jnp.zeros((h, w, added, texels.diffuse.shape[-1]), texels.scale.dtype)
     return SpatialLobes(
         texels.diffuse,
         jnp.concatenate([texels.C, C], axis=2),
-        jnp.concatenate([texels.exponent, one], axis=2),
+        jnp.concatenate([texels.exponent, ones], axis=2),
         jnp.concatenate([texels.scale, black], axis=2),
         texels.axis,
     )

@@ -56,12 +56,12 @@ def refined(
     fitted, held = (
         [_directions(start.parametrisation, side, seed + 2 * part + i) for i in range(2)] for part in range(2)
     )
-    both, maps, most, errors = (start.light_maps, start.view_maps), [], 0, []
+    start_maps, maps, most, errors = (start.light_maps, start.view_maps), [], 0, []
     for c in range(brdf.channels):
-        own, channel = tuple(as_array(np.asarray(maps)[:, c]) for maps in both), as_array(c)
-        found, count = _solve(brdf, own, fitted, cosine, start.parametrisation, channel, steps)
-        errors.append([_error(brdf, m, held, cosine, start.parametrisation, channel) for m in (own, found)])
-        maps.append(found)
+        own, channel = tuple(as_array(np.asarray(maps)[:, c]) for maps in start_maps), as_array(c)
+        refined_maps, count = _solve(brdf, own, fitted, cosine, start.parametrisation, channel, steps)
+        errors.append([_error(brdf, m, held, cosine, start.parametrisation, channel) for m in (own, refined_maps)])
+        maps.append(refined_maps)
         most = max(most, int(count))
     light, view = (as_array(np.stack([of_channel[i] for of_channel in maps], axis=1)) for i in range(2))
     before, after = (float(np.sqrt(sum(e[i][0] for e in errors) / sum(e[i][1] for e in errors))) for i in range(2))
@@ -113,9 +113,9 @@ def _solve(brdf, maps, directions, cosine, parametrisation, channel, steps: int)
 
     solver = optx.LBFGS(rtol=1e-5, atol=1e-9)
     start = jax.lax.stop_gradient(maps)
-    found = optx.minimise(loss, solver, start, max_steps=steps, throw=False)
-    better = loss(found.value, None) < loss(start, None)
-    return jax.tree.map(lambda a, b: jnp.where(better, a, b), found.value, start), found.stats["num_steps"]
+    solution = optx.minimise(loss, solver, start, max_steps=steps, throw=False)
+    better = loss(solution.value, None) < loss(start, None)
+    return jax.tree.map(lambda a, b: jnp.where(better, a, b), solution.value, start), solution.stats["num_steps"]
 
 
 @eqx.filter_jit

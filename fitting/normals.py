@@ -20,9 +20,9 @@ def estimated_normals(stack: Stack) -> Float[np.ndarray, "h w 3"]:
     """
     grey = stack.images[:, stack.mask].mean(axis=-1)
     usable = stack.usable[:, stack.mask]
-    found = np.broadcast_to([0.0, 0.0, 1.0], (*stack.mask.shape, 3)).copy()
-    found[stack.mask] = np.asarray(_stereo(jnp.asarray(grey.T), jnp.asarray(usable.T), jnp.asarray(stack.lights)))
-    return found
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (*stack.mask.shape, 3)).copy()
+    normals[stack.mask] = np.asarray(_stereo(jnp.asarray(grey.T), jnp.asarray(usable.T), jnp.asarray(stack.lights)))
+    return normals
 
 
 @jax.jit

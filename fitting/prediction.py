@@ -22,7 +22,7 @@ def predicted(level: SbrdfLevel, stack: Stack) -> Float[np.ndarray, "n h w 3"]:
     normals = as_array(level.normals[mask], jnp.float32)
     images = np.zeros((*stack.usable.shape, 3), np.float32)
     for number, directions in enumerate(zip(stack.lights, stack.views, strict=True)):
-        light, view = (as_array(one, jnp.float32) for one in directions)
+        light, view = (as_array(direction, jnp.float32) for direction in directions)
         images[number, mask] = np.asarray(_radiance(alone, normals, light, view))
     return images
 

@@ -103,20 +103,20 @@ def fit_sbrdf(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         layer = store.make_layer(folder / f"texels-{key}", {"texels": ((CHUNK, width), np.dtype(np.float32))}, chunks)
-    found = np.zeros((chunks, CHUNK, width), np.float32)
+    parameters = np.zeros((chunks, CHUNK, width), np.float32)
     for number in range(chunks):
         if layer is not None and layer.has(number):
-            found[number] = layer.read("texels", number)
+            parameters[number] = layer.read("texels", number)
         else:
-            mine = place[number * CHUNK : (number + 1) * CHUNK]
-            padded = np.pad(mine, (0, CHUNK - len(mine)), mode="edge")
+            chunk_place = place[number * CHUNK : (number + 1) * CHUNK]
+            padded = np.pad(chunk_place, (0, CHUNK - len(chunk_place)), mode="edge")
             values = images[:, padded].swapaxes(0, 1), usable[:, padded].T, flat_normals[padded]
-            found[number] = np.asarray(_fit_texels(*values, stack.lights, stack.views, common, share, options))
+            parameters[number] = np.asarray(_fit_texels(*values, stack.lights, stack.views, common, share, options))
             if layer is not None:
-                layer.write(number, texels=found[number])
+                layer.write(number, texels=parameters[number])
         report(min(len(place), (number + 1) * CHUNK), len(place))
     return SbrdfFit(
-        as_level(found.reshape(-1, width)[: len(place)], stack.mask, normals, options), stack.mask, estimated
+        as_level(parameters.reshape(-1, width)[: len(place)], stack.mask, normals, options), stack.mask, estimated
     )
 
 
@@ -141,7 +141,7 @@ def prepared(
 
 
 def _common(stack: Stack, normals: Float[np.ndarray, "h w 3"], options: Options) -> LobeSum:
-    """Lobes of many texels together, of what remains when each one's median, its diffuse part, is taken off."""
+    """Lobes of many texels together, fitted to what remains when each one's median, its diffuse part, is taken off."""
     place = np.argwhere(stack.mask)
     chosen = tuple(place[np.linspace(0, len(place) - 1, min(_POOL, len(place))).astype(int)].T)
     directions = (jnp.asarray(a, jnp.float32) for a in (normals[chosen], stack.lights, stack.views))
@@ -149,9 +149,9 @@ def _common(stack: Stack, normals: Float[np.ndarray, "h w 3"], options: Options)
     omega_i, omega_o, f, weight = prepared(*values, *directions)
     over = f - _median(f, weight)[:, None]
     together = [a.reshape(1, -1, *a.shape[2:]) for a in (omega_i, omega_o, over, weight)]
-    found = fit_lobes(*together, options=dataclasses.replace(options, anisotropic=False))
-    brdf = jax.tree.map(lambda a: a[0], found.brdf)
-    unknown = _undetermined(found, together[0], together[1], together[3])[0]
+    fits = fit_lobes(*together, options=dataclasses.replace(options, anisotropic=False))
+    brdf = jax.tree.map(lambda a: a[0], fits.brdf)
+    unknown = _undetermined(fits, together[0], together[1], together[3])[0]
     return dataclasses.replace(brdf, diffuse=jnp.zeros(3), scale=jnp.where(unknown, 0, brdf.scale))
 
 

@@ -38,9 +38,9 @@ def coarser(level: SbrdfLevel, mask: np.ndarray, options: Options, pairs: int = 
     new_mask = np.asarray(counted.any(axis=2))
     texels = jax.tree.map(lambda a: children(a)[new_mask], level.lobes)
     options = dataclasses.replace(options, lobes=level.lobes.lobes)
-    found = refitted(texels, counted[new_mask], options, pairs)
+    parameters = refitted(texels, counted[new_mask], options, pairs)
     normals = mean_normals(children(level.normals), counted)
-    return as_level(found, new_mask, normals, options), new_mask
+    return as_level(parameters, new_mask, normals, options), new_mask
 
 
 def refitted(
@@ -57,19 +57,19 @@ def refitted(
         pairs: of directions that the functions are compared in.
     """
     texels = jax.tree.map(np.asarray, texels)
-    found, alike = _common(texels, shares)
+    parameters, alike = _common(texels, shares)
     texels, shares = jax.tree.map(lambda a: a[~alike], texels), shares[~alike]
     omega_i, omega_o = spread_pairs(pairs)
     weight = (omega_i[:, 2] * omega_o[:, 2]) ** 2
     options = dataclasses.replace(options, anisotropic=bool(np.any(texels.C[..., 0] != texels.C[..., 1])))
 
     def chunk(start: int) -> np.ndarray:
-        """Of one size, so that one program does for every level."""
+        """The rows of a chunk; chunks are of one size, so that one program does for every level."""
         index = np.minimum(np.arange(start, start + CHUNK), len(shares) - 1)
-        mine = jax.tree.map(lambda a: jnp.asarray(a[index]), texels)
+        chunk_texels = jax.tree.map(lambda a: jnp.asarray(a[index]), texels)
         share = jnp.asarray(shares[index], jnp.float32)
-        axis = _mean_axis(mine, share)
-        mean = _mean_values(mine, axis, share, omega_i, omega_o)
+        axis = _mean_axis(chunk_texels, share)
+        mean = _mean_values(chunk_texels, axis, share, omega_i, omega_o)
         fits = fit_lobes(omega_i, omega_o, mean, weight, options=options)
         known = reached(fits.brdf, *(a[None] for a in (omega_i, omega_o, weight)))
         bounded = jnp.where(known[..., None], fits.brdf.scale, 0)
@@ -78,8 +78,8 @@ def refitted(
 
     rows = [chunk(start) for start in range(0, len(shares), CHUNK)]
     if rows:
-        found[~alike] = np.concatenate(rows)[: len(shares)]
-    return found
+        parameters[~alike] = np.concatenate(rows)[: len(shares)]
+    return parameters
 
 
 def _common(texels: SpatialLobes, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -139,8 +139,8 @@ def fit_lobes(
         "omega_o": (omega_o, (t, s, 3)),
         "weight": (1.0 if weight is None else weight, (t, s)),
     }
-    given = [_spread(name, array, shape, dtype) for name, (array, shape) in arrays.items()]
-    return _fit_all(*given[:2], values.astype(dtype), given[2], options)
+    inputs = [_spread(name, array, shape, dtype) for name, (array, shape) in arrays.items()]
+    return _fit_all(*inputs[:2], values.astype(dtype), inputs[2], options)
 
 
 def _spread(name, array, shape, dtype):
@@ -154,13 +154,13 @@ def _spread(name, array, shape, dtype):
 def _fit_all(omega_i, omega_o, values, weight, options: Options) -> Fits:
     count = len(values)
     padded = -count % BLOCK if count > BLOCK else 0
-    given = (omega_i, omega_o, values, weight)
-    given = [jnp.pad(a, [(0, padded)] + [(0, 0)] * (a.ndim - 1)) for a in given]
+    inputs = (omega_i, omega_o, values, weight)
+    inputs = [jnp.pad(a, [(0, padded)] + [(0, 0)] * (a.ndim - 1)) for a in inputs]
     size = min(BLOCK, count)
-    blocks = [a.reshape(-1, size, *a.shape[1:]) for a in given]
-    one = functools.partial(fit_one, options=options)
-    found = jax.lax.map(lambda block: jax.vmap(one)(*block), tuple(blocks))
-    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], found)
+    blocks = [a.reshape(-1, size, *a.shape[1:]) for a in inputs]
+    fit = functools.partial(fit_one, options=options)
+    fits = jax.lax.map(lambda block: jax.vmap(fit)(*block), tuple(blocks))
+    return jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:])[:count], fits)
 
 
 def fit_one(
@@ -175,22 +175,22 @@ def fit_one(
     c, s = samples.values.shape
     # Channels that share C and exponent are one group; g groups of c / g channels.
     groups = samples.values.reshape(-1, 1 if options.per_channel else c, s)
-    found = jax.vmap(lambda values: _fit(dataclasses.replace(samples, values=values), options))(groups)
-    scale = found.factors[..., 1:]  # [g, c / g, l]
+    group_fits = jax.vmap(lambda values: _fit(dataclasses.replace(samples, values=values), options))(groups)
+    scale = group_fits.factors[..., 1:]  # [g, c / g, l]
     brdf = LobeSum(
-        diffuse=found.factors[..., 0].ravel() * samples.scale,
-        C=jnp.moveaxis(found.C, 0, 1),
-        exponent=found.exponent.T,
+        diffuse=group_fits.factors[..., 0].ravel() * samples.scale,
+        C=jnp.moveaxis(group_fits.C, 0, 1),
+        exponent=group_fits.exponent.T,
         scale=scale.reshape(c, -1).T * samples.scale,
     )
     energy = jnp.sum(jnp.square(samples.values * samples.root_weight[None]))
-    relative = jnp.sqrt(jnp.sum(found.squares)) / jnp.sqrt(jnp.where(energy > 0, energy, 1))
-    verdict = _judge(samples, found, relative, options)
+    relative = jnp.sqrt(jnp.sum(group_fits.squares)) / jnp.sqrt(jnp.where(energy > 0, energy, 1))
+    verdict = _judge(samples, group_fits, relative, options)
     return Fits(
         brdf,
         relative,
-        found.exponent_deviation.T,
-        found.C_deviation.T,
+        group_fits.exponent_deviation.T,
+        group_fits.C_deviation.T,
         verdict,
         samples.masked,
         samples.used,
@@ -227,7 +227,7 @@ def _fit(samples: Samples, options: Options) -> _Found:
 
 
 def _search(samples: Samples, options: Options) -> tuple[Float[Array, "l 3"], Float[Array, " l"]]:
-    """The lobes that several starts found, added one after the other."""
+    """The best lobes from several starts, added one after the other."""
     values = samples.values * samples.root_weight[None]
 
     def add(C, exponent):
@@ -242,9 +242,9 @@ def _search(samples: Samples, options: Options) -> tuple[Float[Array, "l 3"], Fl
             solution = _solve(start, (chart, samples), options)
             return *chart.lobes(solution.value), solution.state.at.f
 
-        found_C, found_exponent, losses = jax.vmap(from_start)(*starts)
+        fitted_C, fitted_exponent, losses = jax.vmap(from_start)(*starts)
         best = jnp.argmin(losses)
-        return found_C[best], found_exponent[best], losses[best]
+        return fitted_C[best], fitted_exponent[best], losses[best]
 
     def exchange(lobes, _):
         C, exponent, loss = lobes
@@ -288,12 +288,12 @@ def _deviations(
     return exponent, jnp.max(jnp.where(known[:, 1:], deviation[:, 1:], jnp.inf), axis=1)
 
 
-def _judge(samples: Samples, found: _Found, relative: Float[Array, ""], options: Options) -> Int[Array, ""]:
+def _judge(samples: Samples, group_fits: _Found, relative: Float[Array, ""], options: Options) -> Int[Array, ""]:
     """The first verdict that applies."""
-    g, c, m = found.factors.shape
-    active = jnp.any(found.factors[..., 1:] > _LEAST_PEAK, axis=1)  # [g, l]
-    uncertain = (found.exponent_deviation > 1) | (found.C_deviation > 1)
-    ends = (found.exponent < 2 * EXPONENTS[0]) | (found.exponent > EXPONENTS[1] / 2)
+    g, c, m = group_fits.factors.shape
+    active = jnp.any(group_fits.factors[..., 1:] > _LEAST_PEAK, axis=1)  # [g, l]
+    uncertain = (group_fits.exponent_deviation > 1) | (group_fits.C_deviation > 1)
+    ends = (group_fits.exponent < 2 * EXPONENTS[0]) | (group_fits.exponent > EXPONENTS[1] / 2)
     unknowns = g * (m - 1) * (3 if options.anisotropic else 2) + g * c * m
     applies = {
         Verdict.NO_DATA: samples.used * g * c < unknowns,

@@ -150,21 +150,21 @@ def _directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndar
 
 def _from_npz(path: pathlib.Path) -> Stack:
     required, known = ("images", "light_directions"), ("light_intensities", "view_directions", "mask", *_NORMALS)
-    found = read_npz(path, "a stack of images", (*required, *known), _LARGEST)
+    arrays = read_npz(path, "a stack of images", (*required, *known), _LARGEST)
     for key in required:
-        if key not in found:
+        if key not in arrays:
             raise InputError(f"{path}: '{key}' is missing; a stack has {' and '.join(required)}")
-    images = found["images"]
-    whole = images.dtype.kind in "ui"
-    top = np.iinfo(images.dtype).max if whole else 1
+    images = arrays["images"]
+    integers = images.dtype.kind in "ui"
+    top = np.iinfo(images.dtype).max if integers else 1
     return stack_of(
         images / np.float32(top),
-        found["light_directions"],
-        saturation=1 if whole else np.inf,
-        intensities=found.get("light_intensities"),
-        views=found.get("view_directions"),
-        mask=found.get("mask"),
-        normals=next((found[name] for name in _NORMALS if name in found), None),
+        arrays["light_directions"],
+        saturation=1 if integers else np.inf,
+        intensities=arrays.get("light_intensities"),
+        views=arrays.get("view_directions"),
+        mask=arrays.get("mask"),
+        normals=next((arrays[name] for name in _NORMALS if name in arrays), None),
         name=path.name,
     )
 

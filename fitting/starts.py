@@ -13,17 +13,17 @@ EXPONENTS = 4.0 ** np.arange(0, 7)
 
 def directions(anisotropic: bool) -> Float[np.ndarray, "g 3"]:
     """C of the grid, with max|C| = 1: around the circle Cx = Cy, and beyond it where that is asked for."""
-    # Denser where measured materials are: near the mirror direction, (−1, −1, 1).
+    # The grid is denser where measured materials are: near the mirror direction, (−1, −1, 1).
     degrees = np.concatenate([np.arange(90, 180, 7.5), np.arange(180, 450, 22.5)])
     half, z = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    found = np.stack([half, half, z], axis=-1)
+    grid = np.stack([half, half, z], axis=-1)
     if anisotropic:
         x, y, z = (
             part.ravel() for part in np.meshgrid([-1, -0.5, 0, 0.5, 1], [-1, -0.5, 0, 0.5, 1], [-1, -0.4, 0.4, 1])
         )
         uneven = x != y
-        found = np.concatenate([found, np.stack([x, y, z], axis=-1)[uneven]])
-    return found / np.abs(found).max(axis=-1, keepdims=True)
+        grid = np.concatenate([grid, np.stack([x, y, z], axis=-1)[uneven]])
+    return grid / np.abs(grid).max(axis=-1, keepdims=True)
 
 
 def best_additions(

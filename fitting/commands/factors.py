@@ -83,12 +83,12 @@ class Factors:
                 change = refined(measured.brdf, factors)
                 factors = change.factors
                 report("factors", 2, steps)
-        found = separable(factors)
+        brdf = separable(factors)
         with timed(seconds, "write"):
-            write_factors(self.output, found)
+            write_factors(self.output, brdf)
         # Turned about the normal, since the maps' texels are not alike all around.
         samples = sample(measured.brdf, Grid(rotations=5))
-        residual = Residual(found, samples, weights("cosine", samples))
+        residual = Residual(brdf, samples, weights("cosine", samples))
         if (missed := residual.over()) > _POOR:
             notes([f"the factors miss {percent(missed)} of the reflected light; ask for more --terms, or fit lobes"])
         summary = {
@@ -97,16 +97,16 @@ class Factors:
             "format": measured.kind,
             "output": str(self.output),
             "form": self.form,
-            "terms": found.light_maps.shape[0],
-            "resolution": found.light_maps.shape[-1],
-            "bytes": found.light_maps.nbytes + found.view_maps.nbytes,
+            "terms": brdf.light_maps.shape[0],
+            "resolution": brdf.light_maps.shape[-1],
+            "bytes": brdf.light_maps.nbytes + brdf.view_maps.nbytes,
             "residual": known(missed),
         }
         if change is not None:
             summary |= {"refined": {"before": change.before, "after": change.after}, "refining_steps": change.steps}
         if self.report is not None:
             with timed(seconds, "report"):
-                pictures = {"data": measured.brdf, f"{summary['terms']} terms": found}
+                pictures = {"data": measured.brdf, f"{summary['terms']} terms": brdf}
                 by_angle = DEGREES, DEGREES, residual.by_both("difference", "half")
                 summary["report"] = [str(file) for file in write_report(self.report, pictures, by_angle)]
         seconds["total"] = time.perf_counter() - start
