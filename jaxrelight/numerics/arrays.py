@@ -16,7 +16,7 @@ def as_array(values: ArrayLike | list | tuple, dtype: DTypeLike | None = None) -
     if isinstance(values, jax.Array):
         return jnp.asarray(values, dtype)
     host = np.asarray(values)
-    # As JAX is set: no float64 unless it is enabled.
+    # The dtype is as JAX is set: float64 only if it is enabled.
     wanted = jax.dtypes.canonicalize_dtype(host.dtype if dtype is None else dtype)
     # What NumPy does not copy is not copied here either, as by `jnp.asarray`.
     return jnp.asarray(host.astype(wanted, copy=False), wanted)

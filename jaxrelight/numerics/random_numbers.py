@@ -5,7 +5,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int, Real, UInt
 
-# As many as single precision tells apart in a run.
+# Single precision tells this many points apart in a run.
 MAX_POINTS = 1 << 14
 # (√5 − 1)/2 as a part of 2³².
 _GOLDEN = np.uint32(2654435769)
@@ -26,7 +26,7 @@ def vogel_points(
 
 
 def _part_of_one(whole):
-    """Of 2³²; 24 bits are what single precision holds below 1."""
+    """The number as a fraction of 2³²; 24 bits are what single precision holds below 1."""
     return (whole >> 8).astype(jnp.float32) * 2.0**-24
 
 
