@@ -24,7 +24,7 @@ from jaxrelight.numerics.arrays import as_array
 
 Class = TypeVar("Class", bound=type)
 
-# By their qualified names.
+# The registered classes by their qualified names.
 _seen: dict[str, type] = {}
 
 
@@ -178,7 +178,7 @@ def from_fields(cls: type, fields: dict[str, Any], read: Callable[[str], np.ndar
         )
     module = object.__new__(cls)
     for name, value in fields.items():
-        # As JAX makes modules again of their leaves: they are frozen, and their own `__init__` takes what it likes.
+        # JAX, too, makes modules again like this: they are frozen, and their own `__init__` takes what it likes.
         object.__setattr__(module, name, decoded(value))
     return module
 

@@ -202,7 +202,7 @@ class Layer:
 
 
 def bytes_on_disk(folder: pathlib.Path) -> int:
-    """Those of a layer's files, damaged or not."""
+    """Bytes of a layer's files, damaged or not."""
     total = 0
     with os.scandir(folder) as files:
         for file in files:
