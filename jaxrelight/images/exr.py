@@ -91,10 +91,10 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
         raise OSError(str(fault).strip().split('". ')[-1]) from fault
     # The library says nothing of a disk that fills up meanwhile.
     try:
-        whole = np.array_equal(read_exr(path, image.shape[0] * image.shape[1]), image, equal_nan=True)
+        is_complete = np.array_equal(read_exr(path, image.shape[0] * image.shape[1]), image, equal_nan=True)
     except InputError:
-        whole = False
-    if not whole:
+        is_complete = False
+    if not is_complete:
         raise OSError("what is on the disk is not what was written")
 
 
