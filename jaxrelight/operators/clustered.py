@@ -137,7 +137,7 @@ class Clustered(Operator):
         Light is multiplied with the shared rows in all channels at once, and with the weights in each.
         """
         n, _, channels = lights.shape
-        # Of every column, one run of numbers to be gathered: channels c, lights n.
+        # Each column is one run of numbers to gather: of c channels and n lights.
         side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, channels * n)
         dtype = jnp.result_type(lights, self._dtype)
         out = jnp.zeros((n, len(self.place), self.group_rows, channels), dtype)
@@ -148,7 +148,7 @@ class Clustered(Operator):
             def some(out, start, part=part, few=few):
                 chosen = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, few), part)
                 radiance = jax.vmap(lambda group: _at_once(group, side_by_side, channels))(chosen)
-                # Written where it belongs at once: all of it is larger than the operator, and slow to move.
+                # Radiance is written where it belongs at once: all of it is larger than the operator, and slow to move.
                 for i in range(few):
                     out = jax.lax.dynamic_update_slice_in_dim(out, radiance[i][:, None], chosen.groups[i], axis=1)
                 return out, None
@@ -340,8 +340,8 @@ def _joined(members: dict[tuple[int, int], list[int]], width: int) -> dict[tuple
         sizes = list(members)
         s, q = np.array(sizes).T
         count = np.array([len(groups) for groups in members.values()])
-        both = np.add.outer(count, count) * np.maximum.outer(q, q) * (np.maximum.outer(s, s) + width)
-        filling = both - np.add.outer(count * q * (s + width), count * q * (s + width))
+        joined = np.add.outer(count, count) * np.maximum.outer(q, q) * (np.maximum.outer(s, s) + width)
+        filling = joined - np.add.outer(count * q * (s + width), count * q * (s + width))
         filling[np.diag_indices(len(s))] = np.iinfo(filling.dtype).max
         first, second = np.unravel_index(np.argmin(filling), filling.shape)
         if filling[first, second] > _FILLING:
@@ -446,10 +446,10 @@ def _principal_components(
     value, and cost a fifth of a singular value decomposition.
     """
     wide = matrix.shape[0] < matrix.shape[1]
-    whole = matrix.astype(np.float64)
-    energies, vectors = scipy.linalg.eigh(whole @ whole.T if wide else whole.T @ whole)
+    precise = matrix.astype(np.float64)
+    energies, vectors = scipy.linalg.eigh(precise @ precise.T if wide else precise.T @ precise)
     kept = vectors[:, np.cumsum(np.maximum(energies, 0)) > may][:, ::-1]
-    weights, basis = (kept, kept.T @ whole) if wide else (whole @ kept, kept.T)
+    weights, basis = (kept, kept.T @ precise) if wide else (precise @ kept, kept.T)
     root = np.sqrt(np.linalg.norm(basis, axis=1) if wide else np.linalg.norm(weights, axis=0))
     weights, basis = (weights * root, basis / root[:, None]) if wide else (weights / root, basis * root[:, None])
     return weights.astype(np.float32), basis.astype(np.float32)

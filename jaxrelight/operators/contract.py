@@ -316,7 +316,7 @@ class InBasis(Operator):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """That of the operator."""
+        """The shape of the operator."""
         return self.operator.shape
 
     @property

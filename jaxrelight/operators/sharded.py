@@ -69,14 +69,16 @@ class Sharded(Operator):
 # Compiled even where the caller compiles nothing: JAX runs a program on the devices of many processes, not its steps.
 @jax.jit
 def _apply(operator: Sharded, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
-    split, whole = _layouts(operator.mesh)
+    split, replicated = _layouts(operator.mesh)
 
-    @functools.partial(jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, whole.spec), out_specs=split.spec)
+    @functools.partial(jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, replicated.spec), out_specs=split.spec)
     def own(shards, light):
         return _own(shards).apply(light)
 
     c = light.shape[1]
-    by_group = jax.lax.with_sharding_constraint(own(operator.shards, light), whole).reshape(-1, operator.group_rows, c)
+    by_group = jax.lax.with_sharding_constraint(own(operator.shards, light), replicated).reshape(
+        -1, operator.group_rows, c
+    )
     black = jnp.zeros((1, *by_group.shape[1:]), by_group.dtype)
     placed = jnp.concatenate([by_group, black]).at[operator.place].get(mode="promise_in_bounds")
     return placed.reshape(-1, c)[: operator.row_count]
@@ -84,15 +86,15 @@ def _apply(operator: Sharded, light: Float[Array, "d c"]) -> Float[Array, "r c"]
 
 @jax.jit
 def _transpose(operator: Sharded, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-    split, whole = _layouts(operator.mesh)
+    split, replicated = _layouts(operator.mesh)
     m, c = operator.group_rows, radiance.shape[1]
 
     @functools.partial(
-        jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, split.spec, whole.spec), out_specs=whole.spec
+        jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, split.spec, replicated.spec), out_specs=replicated.spec
     )
     def summed(shards, groups, by_group):
-        mine = by_group.at[groups[0]].get(mode="promise_in_bounds").reshape(-1, c)
-        return jax.lax.psum(_own(shards).transpose(mine), operator.mesh.axis_names)
+        group_radiance = by_group.at[groups[0]].get(mode="promise_in_bounds").reshape(-1, c)
+        return jax.lax.psum(_own(shards).transpose(group_radiance), operator.mesh.axis_names)
 
     # One group more, of zeros, for filling.
     filled = jnp.pad(radiance, ((0, (len(operator.place) + 1) * m - operator.row_count), (0, 0)))
@@ -174,9 +176,9 @@ def _placed(
         # Each process puts what its devices hold.
         return jax.make_array_from_callback(x.shape, layout, lambda index: x[index])
 
-    split, whole = _layouts(mesh)
+    split, replicated = _layouts(mesh)
     shards = jax.tree.map(lambda x: put(x, split), shards)
-    return Sharded(shards, put(groups, split), put(place[:g], whole), m, *operator.shape, mesh)
+    return Sharded(shards, put(groups, split), put(place[:g], replicated), m, *operator.shape, mesh)
 
 
 def _split_rows(operator: SparseRows, devices: int) -> tuple[SparseRows, Int[np.ndarray, "p 1"], int, int]:
