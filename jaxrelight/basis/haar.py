@@ -67,7 +67,7 @@ class HaarFaces(Basis):
 
     @property
     def size(self) -> int:
-        """Of n² for each face."""
+        """The number of coefficients: n² for each face."""
         return self.faces * self.resolution**2
 
     def _encode(self, texels: Float[Array, "... d"]) -> Float[Array, "... d"]:

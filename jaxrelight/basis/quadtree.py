@@ -7,7 +7,7 @@ of a node, and a node of 4^h points is a block of 2^h×2^h texels. `haar` does t
 import numpy as np
 from jaxtyping import Float, Int
 
-# Of a split; it hardly moves after a few.
+# The number of steps of a split, which hardly moves after a few.
 _STEPS = 20
 
 
