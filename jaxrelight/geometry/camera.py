@@ -62,7 +62,7 @@ class Camera:
         return (forward + x[..., None] * right + y[..., None] * up) / length[..., None]
 
     def solid_angles(self) -> Float[np.ndarray, "h w"]:
-        """Of every pixel, in steradians: its area at distance 1 along the axis, times cos³ of its angle from it."""
+        """Steradians of every pixel: its area at distance 1 along the axis, times cos³ of its angle from the axis."""
         _, _, length = self._plane()
         return (2 * np.tan(np.radians(self.fov_y) / 2) / self.height) ** 2 / (length * length * length)
 

@@ -44,7 +44,7 @@ def frames_of_points(
     """
     dtype = float_dtype(normals, tangents)
     frames = np.empty((len(normals), 3, 3), dtype)
-    # On the host also where a caller is being traced.
+    # This runs on the host also where a caller is being traced.
     with jax.ensure_compile_time_eval():
         for start in range(0, len(frames), _PART):
             rows = slice(start, start + _PART)

@@ -11,9 +11,9 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.threads import in_parts
 
-# Of a face seen nearly edge on, which covers no more of a texture than this says.
+# The cosine of a face seen nearly edge on, which covers no more of a texture than this says.
 _LEAST_COSINE = 1e-3
-# Pixels of a part.
+# Pixels in each part.
 _PIXEL_CHUNK = 16384
 
 

@@ -199,18 +199,18 @@ def transformed(mesh: Mesh, matrix: ArrayLike) -> Mesh:
         InputError: the matrix is not 4×4, not finite, not affine or not invertible, or moves vertices out of range.
     """
     try:
-        whole = np.asarray(matrix, float)
+        transform = np.asarray(matrix, float)
     except (TypeError, ValueError):
-        whole = np.zeros(0)
-    if whole.shape != (4, 4) or not np.isfinite(whole).all():
+        transform = np.zeros(0)
+    if transform.shape != (4, 4) or not np.isfinite(transform).all():
         raise InputError("transform must be four rows of four finite numbers")
-    if not np.allclose(whole[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
+    if not np.allclose(transform[3], [0, 0, 0, 1], rtol=0, atol=1e-9):
         raise InputError("the last row of transform must be 0, 0, 0, 1; write the matrix row by row")
-    linear, largest = whole[:3, :3], np.abs(whole[:3, :3]).max()
+    linear, largest = transform[:3, :3], np.abs(transform[:3, :3]).max()
     if not largest > 0 or np.linalg.cond(linear / largest) > 1e12:
         raise InputError("transform is singular, it flattens the mesh; give three independent axes")
     with np.errstate(over="ignore", invalid="ignore"):
-        vertices = mesh.vertices @ linear.T + whole[:3, 3]
+        vertices = mesh.vertices @ linear.T + transform[:3, 3]
     if not (np.abs(vertices) <= LARGEST_COORDINATE).all():
         raise InputError(f"transform moves vertices beyond {LARGEST_COORDINATE:g} metres; scale it down")
     normals = unit(mesh.normals @ np.linalg.inv(linear / largest), np.array([0.0, 1.0, 0.0]))

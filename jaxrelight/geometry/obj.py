@@ -114,8 +114,8 @@ def _dented(points: Float[np.ndarray, "v 3"], polygons: Sequence[Sequence[int]])
     fans = points[np.array([(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)])]
     owner = np.repeat(np.arange(len(polygons)), [len(p) - 2 for p in polygons])
     areas = np.cross(fans[:, 1] - fans[:, 0], fans[:, 2] - fans[:, 0])
-    whole = np.stack([np.bincount(owner, areas[:, k]) for k in range(3)], axis=1)[owner]
-    against = (areas * whole).sum(axis=1) < -1e-6 * (whole**2).sum(axis=1)
+    polygon_areas = np.stack([np.bincount(owner, areas[:, k]) for k in range(3)], axis=1)[owner]
+    against = (areas * polygon_areas).sum(axis=1) < -1e-6 * (polygon_areas**2).sum(axis=1)
     return len(np.unique(owner[against]))
 
 

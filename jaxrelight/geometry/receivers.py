@@ -100,7 +100,7 @@ def _off_the_rim(surfaces: Surfaces) -> Float[np.ndarray, "v 3"]:
     inwards -= normals * np.sum(normals * inwards, axis=1, keepdims=True)
     length = np.linalg.norm(inwards, axis=1, keepdims=True)
     positions = surfaces.vertices.copy()
-    # Of a small face, no more than a tenth of the way.
+    # On a small face they move by no more than a tenth of the way.
     positions[rim] += inwards / np.where(length > 0, length, 1) * np.minimum(_INSET, length / 10)
     return positions
 
@@ -121,11 +121,11 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, uv, footprint,
     order = np.lexsort((morton((positions + 1) / 2), material))
     members, material_of_group, filled = [], [], []
     for number in np.unique(material):
-        mine = order[material[order] == number]
-        groups = -(-len(mine) // GROUP)
-        members.append(np.concatenate([mine, np.full(groups * GROUP - len(mine), mine[0])]))
+        receivers = order[material[order] == number]
+        groups = -(-len(receivers) // GROUP)
+        members.append(np.concatenate([receivers, np.full(groups * GROUP - len(receivers), receivers[0])]))
         material_of_group += [number] * groups
-        filled += [GROUP] * (groups - 1) + [len(mine) - (groups - 1) * GROUP]
+        filled += [GROUP] * (groups - 1) + [len(receivers) - (groups - 1) * GROUP]
     member = np.concatenate(members) if members else np.zeros(0, np.int64)
     slot_of = np.zeros(len(positions), np.int64)
     # Backwards, so that a receiver's own slot overwrites those of its copies, which come later.

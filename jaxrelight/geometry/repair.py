@@ -70,25 +70,25 @@ def repaired(raw: RawMesh) -> Repaired:
     if len(used) < len(referenced):
         notes.append(f"dropped {len(referenced) - len(used):,} vertices that only dropped faces used")
     usable = raw.stated & np.isfinite(raw.normals).all(axis=1)
-    given = unit(np.where(usable[:, None], raw.normals, 0.0), np.zeros(3))  # zero where the file has none
+    file_normals = unit(np.where(usable[:, None], raw.normals, 0.0), np.zeros(3))  # zero where the file has none
     seams = np.column_stack([raw.part, np.round(np.nan_to_num(raw.uv, nan=np.inf) * 1e6)])
-    first, same = _unique_rows(np.column_stack([vertices, seams, np.round(given * 100)])[used])
+    first, same = _unique_rows(np.column_stack([vertices, seams, np.round(file_normals * 100)])[used])
     rank = np.argsort(first)  # vertices keep the order of the file
     number = np.empty(len(vertices), np.int64)
     number[used] = np.argsort(rank)[same]
     source = used[first[rank]]
-    vertices, faces, given = vertices[source], number[faces], given[source]
+    vertices, faces, file_normals = vertices[source], number[faces], file_normals[source]
 
-    faces, doubts = _wound_alike(vertices, faces, given)
+    faces, doubts = _wound_alike(vertices, faces, file_normals)
     notes += doubts
-    missing = np.equal(np.abs(given).max(axis=1, initial=0), 0)
+    missing = np.equal(np.abs(file_normals).max(axis=1, initial=0), 0)
     if (missing & raw.stated[source]).any():
         notes.append(f"normals computed for {(missing & raw.stated[source]).sum():,} vertices: the file's are unusable")
     if _faces_inward(vertices, _unique_rows(vertices)[1][faces], faces):
         notes.append(FACES_INWARD)
     first, welded = _unique_rows(np.column_stack([vertices, raw.part[source]]))
     computed = _angle_weighted(vertices[first], welded[faces])[welded]
-    normals = np.where(missing[:, None], computed, given)
+    normals = np.where(missing[:, None], computed, file_normals)
     return Repaired(vertices, np.ascontiguousarray(faces), normals, tuple(notes), source)
 
 
