@@ -94,7 +94,7 @@ class Adaptive(Brdf):
 
 def _spherical(vector):
     """(θ, φ) of any length; along the normal φ is 0, with a zero gradient."""
-    # Written out: XLA's sums over three components take longer than all the rest.
+    # The sums are written out: over three components, XLA's take longer than all the rest.
     x, y, z = vector
     square = x * x + y * y
     upright = square <= 1e-18 * z * z

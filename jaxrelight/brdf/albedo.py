@@ -11,7 +11,7 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import float_dtype
 
-# Of ω_o from the normal.
+# Angles of ω_o from the normal.
 _DEGREES = (0.0, 20.0, 40.0, 60.0, 75.0, 85.0)
 
 

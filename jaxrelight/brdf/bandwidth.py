@@ -17,7 +17,8 @@ from jaxrelight.brdf.texture import Texture
 from jaxrelight.numerics import safe
 
 _GRID = 16
-# Of the energy of a lobe's spectrum, what may lie beyond its bandwidth: as the threshold of `local_frequency`.
+# This share of the energy of a lobe's spectrum may lie beyond its bandwidth, as with the threshold of
+# `local_frequency`.
 _BEYOND = 0.01
 _MIXED = 4
 
@@ -83,7 +84,7 @@ def lobe_bandwidth(brdf: LobeSum, omega_i: Float[Array, "3"], omega_o: Float[Arr
 
 
 def with_cosine(bandwidth: Float[Array, "*p"]) -> Float[Array, "*p"]:
-    """Of the BRDF times the cosine, which is a lobe of exponent 1."""
+    """The bandwidth of the BRDF times the cosine, which is a lobe of exponent 1."""
     return jnp.hypot(bandwidth, math.sqrt(0.5 * math.log(1 / _BEYOND)) / math.pi)
 
 

@@ -57,7 +57,7 @@ class Symmetric(Reflection):
 
     @property
     def channels(self) -> int:
-        """Those of the BRDF."""
+        """The channels of the BRDF."""
         return self.maps.shape[1]
 
     @property

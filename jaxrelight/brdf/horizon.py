@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.numerics import safe
 
-# Of the table: n + 1 goes by √2, as far as 2^14, and the cosine evenly.
+# In the table n + 1 goes by √2, as far as 2^14, and the cosine evenly.
 _PER_DOUBLING, _DOUBLINGS, _COSINES = 2, 14, 257
 
 

@@ -46,7 +46,7 @@ class LobeSampler(eqx.Module):
         The first also chooses the lobe, by which of their shares it falls into, so that evenly spread numbers are so
         in each of them.
         """
-        # Written out, which is several times faster than look-ups and products of small matrices.
+        # The choice is written out, which is several times faster than look-ups and products of small matrices.
         reached, exponent, frame = jnp.cumsum(self.shares), self.exponents[0], self.frames[0]
         start, share = jnp.zeros_like(u), self.shares[0]
         for k in range(1, len(self.shares)):
@@ -71,7 +71,7 @@ class LobeSampler(eqx.Module):
     @jax.jit
     def pdf(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
         """Density of `sample` by solid angle, over the whole sphere."""
-        # Written out: as a sum over an axis, XLA 0.10 for CPUs fuses it with those of a BRDF and makes both wrong.
+        # The sum is written out: over an axis, XLA 0.10 for CPUs fuses it with those of a BRDF and makes both wrong.
         density = jnp.zeros((), omega_i.dtype)
         for share, frame, exponent in zip(self.shares, self.frames, self.exponents, strict=True):
             cosine = frame[2, 0] * omega_i[0] + frame[2, 1] * omega_i[1] + frame[2, 2] * omega_i[2]

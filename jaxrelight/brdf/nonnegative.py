@@ -33,7 +33,7 @@ def nonnegative_factors(
 
 
 def _positive_parts(u: np.ndarray, sigma: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each singular pair the positive or the negative part, whichever is larger, where iteration begins.
+    """The positive or the negative part of each singular pair, whichever is larger, where iteration begins.
 
     A floor keeps what is 0 from staying 0 (Boutsidis and Gallopoulos 2008).
     """

@@ -54,7 +54,7 @@ class Disc(Parametrisation):
     """x = (ω·s + 1)/2, y = (ω·t + 1)/2 (eq. 10): equal areas are equal projected solid angles."""
 
     def directions(self, side: int) -> tuple[Float[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
-        """Of every texel; those in the corners have the direction a twentieth of a texel within the edge before them.
+        """Directions of every texel; one in a corner has that a twentieth of a texel within the edge before it.
 
         At the edge itself some BRDFs are without bound, and between it and the outermost texels others have roots.
         """
@@ -82,7 +82,7 @@ class Polar(Parametrisation):
     """x = atan2(ω·s, ω·t) / 2π, y = √(1 − ω·n) (eq. 11): periodic in x, the pole at y = 0, the horizon at y = 1."""
 
     def directions(self, side: int) -> tuple[Float[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
-        """Of every texel; all lie on the hemisphere."""
+        """Directions of every texel; all lie on the hemisphere."""
         centre = (np.arange(side) + 0.5) / side
         azimuth, y = (grid.ravel() for grid in np.meshgrid(2 * np.pi * centre, centre))
         sine = y * np.sqrt(2 - y * y)

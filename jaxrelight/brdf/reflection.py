@@ -73,7 +73,7 @@ class FixedView(Reflection):
 
     @property
     def channels(self) -> int:
-        """Those of the BRDF."""
+        """The channels of the BRDF."""
         return self._whole.channels
 
     @jax.jit
@@ -89,7 +89,7 @@ class FixedView(Reflection):
 
     @property
     def is_constant(self) -> bool:
-        """As the BRDF is."""
+        """Whether the BRDF is constant."""
         return self._whole.is_constant
 
     @property

@@ -75,7 +75,7 @@ def to_disc(omega: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""
 
 @functools.partial(jax.jit, static_argnames=("rings", "sectors"))
 def _shares(brdf: Brdf, omega_o, rings: int, sectors: int) -> Float[Array, " d"]:
-    """Of samples, in each cell."""
+    """The share of samples in each cell."""
     values = jnp.maximum(jnp.sum(_over_cells(brdf, omega_o, rings, sectors), axis=-1), 0)
     total, count = jnp.sum(values), rings * sectors
     shares = jnp.where(total > 0, values / jnp.where(total > 0, total, 1), 1 / count)

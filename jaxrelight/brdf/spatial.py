@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.texture import Footprint, Texture
 
-# Of a lobe that reflects nothing, so that it has a direction and an exponent all the same.
+# The weight of a lobe that reflects nothing, so that it has a direction and an exponent all the same.
 _LEAST_WEIGHT = 1e-9
 
 Minification = Literal["levels", "averaged", "none"]

@@ -60,7 +60,7 @@ class SpatialFactors(Reflection):
 
     @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
-        """Of the mean of all texels."""
+        """The view side of the mean of all texels."""
         return self.view_side_at(omega_o, jnp.full(2, 0.5, omega_o.dtype), jnp.inf)
 
     @jax.jit
@@ -127,7 +127,7 @@ def factor_spatial(
     every = _lobes_of(lobes)
     strength = np.asarray(lobes.scale).mean(axis=-1).reshape(-1)
     pairs = tuple(map(np.asarray, spread_pairs(_PAIRS)))
-    # As of factors: pairs at grazing angles are bright and seldom seen.
+    # Pairs are weighted as for factors: those at grazing angles are bright and seldom seen.
     at = np.sqrt(pairs[0][:, 2] * pairs[1][:, 2])
     chosen = _shapes(every, strength, pairs, at, tolerance, most_shapes)
     shapes = jax.tree.map(lambda leaf: leaf[chosen], every)

@@ -33,7 +33,7 @@ class HalfDifference(NamedTuple):
 @jax.jit
 def half_difference(omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> HalfDifference:
     """The angles; where one is undefined it is 0, with a zero gradient."""
-    # Written out: over three components, XLA's sums take longer than all the rest.
+    # The sums are written out: over three components, XLA's take longer than all the rest.
     (sum_x, sum_y, sum_z), (x, y, z) = omega_i + omega_o, omega_i - omega_o
     length, aside = _length(sum_x, sum_y, sum_z), _length(sum_x, sum_y, jnp.zeros_like(sum_z))
     opposite = length == 0
@@ -41,7 +41,7 @@ def half_difference(omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> H
     # Far from one another, the sum has fewer digits than the difference.
     theta_d = jnp.arctan2(_length(x, y, z), jnp.maximum(length, 1e-12))
     sine, cosine = _unit(sum_y / divisor, sum_x / divisor)
-    # Of the half difference, what goes around the half vector, and what goes along growing θ_h.
+    # The parts of the half difference around the half vector, and along growing θ_h.
     around = (y * cosine - x * sine) / 2
     along = ((x * cosine + y * sine) * sum_z - z * aside) / (2 * divisor)
     sine, cosine = _unit(around, along)
@@ -127,7 +127,7 @@ def entry_angles(shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, n
 
 
 def least_cosine(shape: tuple[int, int, int]) -> Float[np.ndarray, "h d p"]:
-    """Of the lower one of an entry's two directions with the normal: not positive where one is below the surface."""
+    """The lower of the cosines of an entry's two directions; it is not positive where one is below the surface."""
     theta_h, theta_d, phi_d = entry_angles(shape)
     upright = np.cos(theta_h)[:, None] * np.cos(theta_d)
     leaning = np.sin(theta_h)[:, None] * np.sin(theta_d)

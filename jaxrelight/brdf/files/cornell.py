@@ -20,7 +20,7 @@ from jaxrelight.brdf.tabulated import HalfDifference, Tabulated, corners, entry_
 from jaxrelight.errors import InputError
 from jaxrelight.numerics.arrays import as_array
 
-# Of the table that pairs are interpolated to.
+# The shape of the table that pairs are interpolated to.
 SHAPE = (90, 60, 60)
 _NEIGHBOURS = 30
 _FEWEST_PAIRS = 32

@@ -89,7 +89,7 @@ def write_lobes(path: str | pathlib.Path, brdf: LobeSum, remarks: Sequence[str] 
 
 
 def _printable(text: str) -> str:
-    """Without line ends and such, which would end a comment or are not allowed in one."""
+    """The text without line ends and such, which would end a comment or are not allowed in one."""
     return "".join(character if character.isprintable() else "?" for character in text)
 
 

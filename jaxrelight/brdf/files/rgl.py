@@ -102,5 +102,5 @@ def read_rgl(content: Content) -> tuple[Adaptive, list[str]]:
     slices = len(phi) * len(theta)
     warp = bilinear_warp.sums(visible.reshape(slices, *visible.shape[2:]))
     arrays = phi, theta, normals, area, *warp, samples.reshape(slices, *samples.shape[2:])
-    # As in the file.
+    # The arrays have the precision of the file.
     return Adaptive(*(as_array(array, jnp.float32) for array in arrays)), notes
