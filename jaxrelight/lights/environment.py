@@ -51,7 +51,7 @@ class Environment(eqx.Module):
         scale: float | Float[Array, ""] = 1.0,
         notes: tuple[str, ...] = (),
     ):
-        """Of pixels, which are checked unless they are traced.
+        """Makes an environment of pixels, which are checked unless they are traced.
 
         Negative pixels are clamped and counted in the notes.
 

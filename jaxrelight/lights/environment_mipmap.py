@@ -118,7 +118,7 @@ def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g 
 
 
 def environment_mipmap(environment: Environment) -> EnvironmentMipmap:
-    """Of an environment, as it is turned and scaled."""
+    """The mipmap of an environment, as it is turned and scaled."""
     pixels, sun = without_sun(environment.pixels)
     turn, scale = (as_array(number, pixels.dtype) for number in (environment.rotate_y / 360, environment.scale))
     sun = Sky(turned(sun.directions, environment.rotate_y), sun.irradiance * scale)

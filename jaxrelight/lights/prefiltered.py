@@ -12,7 +12,7 @@ from jaxrelight.basis.zonal import zonal_means
 
 # n + 1 of neighbouring maps differs by the factor √2: a lobe between them is their mixture within 1 % of its norm.
 _PER_DOUBLING = 2
-# Of n + 1; a sharper lobe counts as one of the last map, under a degree wide.
+# The largest n + 1; a sharper lobe counts as one of the last map, under a degree wide.
 _SHARPEST = 2**14
 
 
@@ -77,7 +77,7 @@ class PrefilteredMaps(eqx.Module):
 
 
 def exponents() -> list[float]:
-    """Those that maps are made for, from 0."""
+    """The exponents that maps are made for, from 0."""
     count = _PER_DOUBLING * round(math.log2(_SHARPEST)) + 1
     return [2 ** (level / _PER_DOUBLING) - 1 for level in range(count)]
 

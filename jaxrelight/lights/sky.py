@@ -130,7 +130,7 @@ def turned(directions: Float[Array, "n 3"], degrees: Float[Array, ""] | float) -
 
 
 def nearest_directions(towards: Float[np.ndarray, "n 3"], height: int, width: int) -> Int[np.ndarray, "fh fw"]:
-    """Of each pixel of a lat-long map, cut into f×f, which direction is nearest: f so that each has several."""
+    """The nearest direction to each pixel of a lat-long map, cut into f×f parts so that each direction has several."""
     factor = int(np.ceil(np.sqrt(8 * len(towards) / (height * width))))
     h, w = factor * height, factor * width
     v, u = (np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])
@@ -141,7 +141,7 @@ def nearest_directions(towards: Float[np.ndarray, "n 3"], height: int, width: in
 def mean_radiance(
     pixels: Float[Array, "h w c"], rotate_y: ArrayLike, scale: ArrayLike, nearest: Int[Array, "fh fw"], count: int
 ) -> Float[Array, "n c"]:
-    """Of a map what each of n directions of equal solid angle stands for; all of its light is in one of them.
+    """The light of a map that each of n directions of equal solid angle stands for; together they have all of it.
 
     Args:
         pixels: radiance.

@@ -184,7 +184,7 @@ def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most:
     step = (np.arange(along) + 0.5) / along - 0.5
     down, right = (x.ravel() for x in np.meshgrid(step, step, indexing="ij"))
     v, u = v[:, None] + down / h, u[:, None] + right / w
-    # By solid angle, which differs along a pixel near the poles.
+    # Light is shared by solid angle, which differs along a pixel near the poles.
     share = np.sin(np.pi * v)
     share /= share.sum(axis=1, keepdims=True)
     count = share.size
