@@ -11,9 +11,9 @@ from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.numerics.arrays import as_array
 
 _LAMPS = 64
-# Of every other lamp, which is a spot.
+# The cosine of the cutoff of every other lamp, which is a spot.
 _CUTOFF = np.cos(np.radians(25.0))
-# Of the largest: what scales are worth that no lamp has light of.
+# Scales that no lamp has light of are worth this share of the largest.
 _LEAST = 1e-4
 
 

@@ -99,7 +99,7 @@ class FinalGather:
     def __init__(
         self, cloud: GatherCloud, tracer: Tracer, threshold: float = 0.1, near: Near = "disc", peak: float = 0.01
     ):
-        """Of receivers in the cloud's scene.
+        """Prepares to gather at receivers in the cloud's scene.
 
         Args:
             cloud: where light comes from.
@@ -120,7 +120,7 @@ class FinalGather:
         self._parts = _parts(cloud, self._tree)
         self._positions = np.concatenate([cloud.positions, cloud.parts.reshape(-1, 3)])
         self._normals = np.concatenate([cloud.face_normals, cloud.part_normals.reshape(-1, 3)])
-        # As rays take them.
+        # Rays take the ends in single precision.
         self._ends = (self._positions + OFFSET * self._normals).astype(np.float32)
 
     def links(self, positions: Float[np.ndarray, "m 3"], normals: Float[np.ndarray, "m 3"]) -> Links:

@@ -57,7 +57,7 @@ class GatherCloud:
 
     @property
     def side(self) -> int:
-        """Of the image."""
+        """Side of the image, in points."""
         return round(len(self.positions) ** 0.5)
 
     @property

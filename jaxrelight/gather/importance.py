@@ -9,9 +9,9 @@ from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 
-# Of the nearest particles that tell their density.
+# The number of nearest particles that tell their density.
 _NEAREST = 64
-# Of the mean: what the places that no particle reaches are worth.
+# Places that no particle reaches are worth this share of the mean.
 _LEAST = 0.05
 
 

@@ -18,7 +18,7 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.arrays import as_array
 
-# Of the nearest photons, which tell what arrives.
+# The number of nearest photons that tell what arrives.
 _NEAREST = 2000
 # Cosine between normals of what is the same surface.
 _ALIKE = 0.5
@@ -74,7 +74,7 @@ class PhotonGather:
         with self._once:
             if self._shot is None:
                 photons = shoot(*self._shooting)
-                # As many set out, and again all that landed but for those at the end of their way.
+                # Photons set out, and go on from every landing but those at the end of their way.
                 self.rays = len(self._cloud.positions) * self._shooting[5] + len(photons.origins)
                 self._shot = photons, KDTree(photons.positions)
             return self._shot
