@@ -40,12 +40,12 @@ def compression(method: Transport) -> "Rows | Clusters":
 
 
 def shared(method: Transport) -> "Clusters":
-    """Of bounced light, whatever direct light is kept as."""
+    """The compression of bounced light, whatever direct light is kept as."""
     return Clusters(method.compression_tolerance, method.bits, natural_spectrum(method.resolution))
 
 
 def of_cloud(method: Indirect, spectrum: Float[np.ndarray, " d"]) -> "Rows | Clusters":
-    """Of what is gathered from a cloud, whose light has a spectrum."""
+    """The compression of what is gathered from a cloud, whose light has a spectrum."""
     if method.coefficients == "shared":
         return Clusters(method.compression_tolerance, method.bits, spectrum)
     return Rows(int(method.coefficients), method.bits, spectrum)
@@ -117,7 +117,7 @@ class Rows:
         return self.arrays(Truncated(indices, values, np.maximum(dropped, 0), total))  # pyright: ignore[reportArgumentType]
 
     def arrays(self, kept: Truncated) -> dict[str, np.ndarray]:
-        """Those of a layer, of a group's rows; they lead with receivers and terms."""
+        """The arrays of a layer for a group's rows; they lead with receivers and terms."""
         values = np.asarray(kept.values)
         coded = _coded("values", values, self._bits, _RUN)
         lost = np.square(values - _decoded("values", coded, _RUN)).sum(axis=-1)
@@ -205,7 +205,7 @@ def _mixed(weights: Float[np.ndarray, "c q r"], basis: Float[np.ndarray, "s q"])
 
 
 def _coded_layout(name: str, shape: tuple[int, ...], scales: tuple[int, ...], bits: int):
-    """Of an array that is kept as it is, or as codes and scales."""
+    """The layout of an array that is kept as it is, or as codes and scales."""
     if bits == 32:
         return {name: (shape, np.dtype(np.float32))}
     return {name: (shape, np.dtype(f"int{bits}")), f"{name}_scale": (scales, np.dtype(np.float32))}

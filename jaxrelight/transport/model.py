@@ -76,7 +76,7 @@ class SceneGeometry(ByKey):
 
     @functools.cached_property
     def key(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Of the geometry and its materials' names."""
+        """The key of the geometry and its materials' names."""
         surfaces, maps = self.surfaces, (np.asarray(one.pixels) if one else None for one in self.normal_maps)
         arrays = surfaces.normals, surfaces.uv, surfaces.mesh_of_vertex, surfaces.two_sided, surfaces.uv_tangents
         placement = [*surfaces.centre.tolist(), surfaces.radius]
@@ -148,7 +148,7 @@ class Block(eqx.Module):
 
     @property
     def groups(self) -> Int[np.ndarray, " g"]:
-        """Of the material's receivers."""
+        """The groups of the material's receivers."""
         return np.arange(self.first_group, self.first_group + self.group_count)
 
 
@@ -176,7 +176,7 @@ class PrecomputedTransport(eqx.Module):
 
     @property
     def geometry(self) -> SceneGeometry:
-        """Of the scene."""
+        """The geometry of the scene."""
         return self.stored.geometry
 
     @property
