@@ -30,7 +30,7 @@ from jaxrelight.lights.local import Light
 from jaxrelight.scene.lights import read_light
 from jaxrelight.scene.materials import from_file, made_light, read_texture, weighted
 
-# Of materials that are no mixtures.
+# Types of materials that are not mixtures.
 _TYPES = "lambert, phong, lafortune, ashikhmin_shirley, measured, fitted, sbrdf"
 
 
