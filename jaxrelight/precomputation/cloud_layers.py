@@ -69,20 +69,22 @@ def make_indirect(
 
     gather = FinalGather(cloud, tracer, method.solid_angle, method.near, method.peak)
     dials = kept.dial, method.solid_angle, method.near, GROUP
-    between, others = None, gather
+    between, between_gather = None, gather
     if method.bounces > 1 or method.sky:
         way = dials
         with timed(seconds, "between"):
             if method.photons:
-                each = max(1, round(method.photons / method.gather_samples))
-                way = kept.dial, each, method.bounces, method.seed, albedo.key, GROUP
-                others = PhotonGather(cloud, surfaces, tracer, albedo, each, method.bounces - 1, method.seed)
+                photons_per_point = max(1, round(method.photons / method.gather_samples))
+                way = kept.dial, photons_per_point, method.bounces, method.seed, albedo.key, GROUP
+                between_gather = PhotonGather(
+                    cloud, surfaces, tracer, albedo, photons_per_point, method.bounces - 1, method.seed
+                )
             between = f"between-{store.key_of(cloud_key, *way)}"
             points = cloud_receivers(cloud)
             up = as_array(np.broadcast_to([0.0, 0, 1], (*points.positions.shape[:2], 3)), np.float32)
-            mine: list[tuple[Reflection, dict]] = [(FixedView(white_lambert(), up), {"between": between})]
-            rows = MaterialRows(folder, points, np.arange(len(points.filled)), mine)
-            rows.gathered("between", kept, others, functools.partial(report, "light between surfaces"))
+            reflections: list[tuple[Reflection, dict]] = [(FixedView(white_lambert(), up), {"between": between})]
+            rows = MaterialRows(folder, points, np.arange(len(points.filled)), reflections)
+            rows.gathered("between", kept, between_gather, functools.partial(report, "light between surfaces"))
 
     materials, pixels_key = [], here.receivers_key(cloud_key, *dials)
     with timed(seconds, "pixels"):
@@ -98,5 +100,5 @@ def make_indirect(
 
     layers = {"cloud": f"cloud-{cloud_key}", "albedo": f"albedo-{albedo_key}", "between": between}
     header = here.header(materials, write_lights(folder, scene.lights.local), **layers)
-    rays = gather.rays + (others.rays if others is not gather else 0)
+    rays = gather.rays + (between_gather.rays if between_gather is not gather else 0)
     return BuiltLayers(folder, header, geometry, rays, ())

@@ -30,7 +30,7 @@ class Threads:
     """All cores of this machine, a thread each."""
 
     def run(self, make: Callable[[int], None], groups: Sequence[int]) -> Iterator[int]:
-        """As `Executor.run`; after an error no other group is begun."""
+        """Runs the groups as `Executor.run` does; after an error no other group is begun."""
         # Groups are what runs at once: threads of their linear algebra would only wait for each other.
         with threadpoolctl.threadpool_limits(1), concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
             groups_by_future = {pool.submit(make, group): group for group in groups}

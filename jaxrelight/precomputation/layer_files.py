@@ -128,13 +128,17 @@ def factors_of(
         if spatial:
             return read_spatial_factors(layer), path.name, FactorResidual(*layer.read("left", 0).tolist())
         return read_factors(layer), path.name, None
-    # Missing or damaged.
+    # The layer is missing or damaged.
     if spatial:
-        made, left = factor_spatial(brdf, terms, resolution)
-        arrays = {"light_maps": made.light_maps, "view_maps": made.view_maps, "weights": made.weights.pixels}
+        spatial_factors, left = factor_spatial(brdf, terms, resolution)
+        arrays = {
+            "light_maps": spatial_factors.light_maps,
+            "view_maps": spatial_factors.view_maps,
+            "weights": spatial_factors.weights.pixels,
+        }
         numbers = {"left": np.array(dataclasses.astuple(left))}
         write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
-        return made, path.name, left
+        return spatial_factors, path.name, left
     factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, resolution)
     write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
     return factors, path.name, None

@@ -93,8 +93,8 @@ def make_layers(
             if method.coefficients != "all":
                 rows.direct(method, visibility, functools.partial(report, f"transport of {material.name}"))
             if gather:
-                told = functools.partial(report, f"{stage} on {material.name}")
-                rows.gathered("bounced", shared(method), gather, told)
+                gather_report = functools.partial(report, f"{stage} on {material.name}")
+                rows.gathered("bounced", shared(method), gather, gather_report)
             materials += [record for _, record, _ in material.parts]
             notes += material.notes
 

@@ -197,12 +197,12 @@ def _block(
 
 
 def _energy(of_rows: Float[np.ndarray, "r c"]) -> float:
-    """Of all rows; rows that are the same in all channels count three times."""
+    """The energy of all rows; rows that are the same in all channels count three times."""
     return float(of_rows.sum(dtype=float)) * 3 / of_rows.shape[1]
 
 
 def _basis(method: Transport | Indirect) -> Basis:
-    """That of light."""
+    """The basis of light."""
     if isinstance(method, Indirect):
         return HaarFaces(round(method.gather_samples**0.5), 1)
     return cubemap.Texels(method.resolution) if method.coefficients == "all" else HaarFaces(method.resolution)

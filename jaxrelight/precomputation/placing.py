@@ -96,7 +96,7 @@ class PlacedScene:
         return self.geometry.receivers
 
     def receivers_key(self, *dials: object) -> str:
-        """Of the receivers, and of dials."""
+        """The key of the receivers and of dials."""
         scene, seen, bumps = self.scene, self.geometry.visible, self.geometry.normal_maps
         camera = plain(dataclasses.astuple(scene.camera)) if self.method.receivers == "pixels" else None
         bent = None
@@ -107,11 +107,11 @@ class PlacedScene:
 
     @property
     def _whole_key(self) -> str:
-        """Of the geometry with its texture coordinates."""
+        """The key of the geometry with its texture coordinates."""
         return self.layer.folder.name.partition("-")[2]
 
     def materials(self, grey: bool) -> Iterator[PlacedMaterial]:
-        """Those that receivers have; their lobes in grey parts where that is asked for."""
+        """The materials that receivers have, with their lobes in grey parts where that is asked for."""
         surfaces, receivers, seen = self.geometry.surfaces, self.receivers, self.geometry.visible
         frames_key = store.key_of(surfaces.tangents) if surfaces.uv_tangents.any() else None
         for number, name in enumerate(self.names):
