@@ -121,7 +121,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
 
     @property
     def materials(self) -> tuple[SurfaceMaterial, ...]:
-        """Of what is seen."""
+        """The materials of what is seen."""
         return self.pixels.materials
 
     def scene_lights(self) -> Lights:
@@ -329,7 +329,7 @@ def _factor(view: IndirectView) -> int:
 def _nearest_directions(towards: bytes, count: int, height: int, width: int) -> Int[Array, "fh fw"]:
     """See `nearest_directions`; kept for the next map of the same size."""
     directions = np.frombuffer(towards).reshape(count, 3)
-    # Kept, so it must not be a caller's tracer.
+    # The array is cached, so it must not be a caller's tracer.
     with jax.ensure_compile_time_eval():
         return as_array(nearest_directions(directions, height, width))
 

@@ -58,7 +58,7 @@ def prepare_with_build(
         case Transport() | Indirect():
             build = precompute(scene, method, store, report or (lambda stage, done, total: None))
             with timed(build.seconds, "open"):
-                # Of this scene, whatever another process has meanwhile made of the store.
+                # The store is opened for this scene, whatever another process has meanwhile made of it.
                 relighter = _relighter_of(load(build.folder, build.header, build.geometry))
             return relighter, build
         case Prefiltered():

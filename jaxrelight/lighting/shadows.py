@@ -227,7 +227,7 @@ def _traced_incidents(tracer, origins, radius, is_real, towards, distance, in_fr
 
 
 def _traced_directions(tracer, origins, normals, group: LightGroup) -> UInt8[np.ndarray, "n b"]:
-    """Of parallel light: its direction is one for all points. What carries no light is not traced."""
+    """Visibility of parallel light, whose direction is one for all points. What carries no light is not traced."""
     lights = group.lights
     assert isinstance(lights, Directional)
     directions, origins, normals = np.asarray(lights.direction), np.asarray(origins), np.asarray(normals)

@@ -346,7 +346,7 @@ def _with_emitted(terms: Float[Array, "*n v k c"], block: Block) -> Float[Array,
 @jax.jit
 def _padded_sum(terms, emitted):
     emitted = jnp.pad(emitted, ((0, terms.shape[-3] - len(emitted)), (0, 0), (0, 0)))
-    # Of one light or of many.
+    # The terms are those of one light or of many.
     return terms + jnp.broadcast_to(emitted, terms.shape)
 
 

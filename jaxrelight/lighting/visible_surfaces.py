@@ -85,7 +85,7 @@ class SurfacePart(eqx.Module):
     start: Int[Array, ""]
 
     def positions(self, points: SurfacePoints) -> Float[Array, "p 3"]:
-        """Of the pixels, in the world; of padding, those of others."""
+        """Positions of the pixels in the world; padding has those of other pixels."""
         return jax.lax.dynamic_slice_in_dim(points.positions, self.start, len(self.pixels.pixel))
 
 
@@ -165,32 +165,32 @@ def trace_view(
     pixel = np.flatnonzero(gbuffer.covered)
     parts, order, end = [], [np.zeros(0, int)], 0
     for number, material in enumerate(materials):
-        mine = np.flatnonzero(seen == number)
-        if not len(mine):
+        shown = np.flatnonzero(seen == number)
+        if not len(shown):
             continue
         if material.is_spatial:
-            # Neighbours in the maps one after the other: large maps are read a tenth faster.
-            mine = mine[np.argsort(morton(gbuffer.uv[mine] % 1), kind="stable")]
-        frames = frames_of_points(gbuffer.normals[mine], gbuffer.tangents[mine])
-        own, omega_o = np.arange(len(mine)), to_local(frames, gbuffer.omega_o[mine])
+            # Neighbours in the maps follow one another, so that large maps are read a tenth faster.
+            shown = shown[np.argsort(morton(gbuffer.uv[shown] % 1), kind="stable")]
+        frames = frames_of_points(gbuffer.normals[shown], gbuffer.tangents[shown])
+        own, omega_o = np.arange(len(shown)), to_local(frames, gbuffer.omega_o[shown])
         pixels = SurfacePixels(
-            pixel=jax.device_put(padded(pixel, mine, gbuffer.covered.size)),
-            uv=jax.device_put(padded(gbuffer.uv, mine)),
-            footprint=jax.device_put(padded(gbuffer.footprint, mine)),
+            pixel=jax.device_put(padded(pixel, shown, gbuffer.covered.size)),
+            uv=jax.device_put(padded(gbuffer.uv, shown)),
+            footprint=jax.device_put(padded(gbuffer.footprint, shown)),
             omega_o=jax.device_put(padded(omega_o, own)),
             frame=jax.device_put(padded(frames, own)),
         )
         start = sum(map(len, order))
         parts.append(SurfacePart(number, pixels, as_array(start, np.int32)))
         end = start + len(pixels.pixel)
-        order.append(mine)
-    mine = np.concatenate(order)
-    # As many as the padding of the last part asks for.
+        order.append(shown)
+    pixel_order = np.concatenate(order)
+    # There are as many points as the padding of the last part asks for.
     points = surface_points(
         geometry.tracer,
-        gbuffer.positions[mine],
-        gbuffer.face_normals[mine],
-        gbuffer.normals[mine],
+        gbuffer.positions[pixel_order],
+        gbuffer.face_normals[pixel_order],
+        gbuffer.normals[pixel_order],
         surfaces.centre,
         surfaces.radius,
         end,

@@ -149,11 +149,11 @@ def estimate_listed(
 
     def add(total, place, first, visible):
         drawn = _directions(part, pixels, number, place, first, seed)
-        given, _ = _pieces(part, light, pixels, number, place, drawn, filtered)
+        contribution, _ = _pieces(part, light, pixels, number, place, drawn, filtered)
         if visible is not None:
             bits = (visible[:, None] >> jnp.arange(RUN, dtype=jnp.uint16)[None]) & 1
-            given = given * bits[..., None].astype(given.dtype)
-        return total.at[place].add(jnp.sum(given, axis=1), mode="drop")
+            contribution = contribution * bits[..., None].astype(contribution.dtype)
+        return total.at[place].add(jnp.sum(contribution, axis=1), mode="drop")
 
     def step(total, batch):
         place, *rest = batch
@@ -213,7 +213,7 @@ def _towards(part, pixels, place, drawn):
 
 @jax.jit
 def _directions(part, pixels, number, place, first, seed):
-    """Of each piece [RUN, 3] directions in its pixel's frame, and their densities."""
+    """The [RUN, 3] directions of each piece in its pixel's frame, and their densities."""
 
     def piece(given):
         place, first = given
@@ -228,20 +228,20 @@ def _directions(part, pixels, number, place, first, seed):
 def _pieces(part, light, pixels, number, place, drawn, filtered):
     """What each sample gives, and the world direction it comes from, 0 where it gives nothing: [RUN, 3] of a piece."""
 
-    def piece(given):
-        place, directions = given
+    def piece(piece_inputs):
+        place, directions = piece_inputs
         frame, omega_o, uv, footprint, _ = _of(pixels, place)
         count = _count(number, place)
         point = part.towards(omega_o, uv, footprint)
 
         def sample(direction):
             drawn = point.weighed(*direction)
-            # Written out: products of small matrices are slow.
+            # The product is written out, since products of small matrices are slow.
             omega = jnp.sum(drawn.omega_i[:, None] * frame, axis=0)
             covered = _COVERED * drawn.solid_angle / count if filtered else None
-            given = drawn.weight * light.radiance_at(omega, covered)
+            contribution = drawn.weight * light.radiance_at(omega, covered)
             real = (place < len(pixels.pixel)) & jnp.any(drawn.weight > 0)
-            return given, jnp.where(real, omega, 0)
+            return contribution, jnp.where(real, omega, 0)
 
         return jax.vmap(sample)(directions)
 

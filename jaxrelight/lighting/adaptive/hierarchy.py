@@ -43,7 +43,7 @@ _FOUR = ((-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 3), (1, 3), (-1, -3), (1, -3),
 _COUNTS, _NEAREST = (len(_ROW), len(_ROW), len(_FOUR)), (2, 2, 4)
 # [parents, kinds, 2]; kinds of fewer have their first ones again, which count nothing.
 _PARENTS = np.stack([np.resize(of, (len(_FOUR), 2)) for of in (_ROW, np.flip(_ROW, 1), _FOUR)], axis=1)
-# Of the first new pixel of each kind, in a lattice made wider.
+# The parents of the first new pixel of each kind, in a lattice made wider.
 _CORNERS = (_BEFORE + (_PARENTS + np.array(_KINDS)) // 2).astype(np.int32)
 # Numbers that are known of a parent: its mirror and position, its kind, and twice three rates around it.
 _KIND = 6
@@ -182,8 +182,8 @@ def _parent_rows(shape) -> tuple[Array, Array, Array]:
 def _of_level(of_all, level: int, shape):
     """A level's part of the numbers of new pixels of all levels, on its lattice."""
     sizes = [math.prod(_new_shape(shape, one)) for one in _COARSE_TO_FINE if one >= level]
-    mine = jax.lax.slice_in_dim(of_all, sum(sizes[:-1]), sum(sizes), axis=-1)
-    return mine.reshape(*of_all.shape[:-1], *_new_shape(shape, level))
+    of_level = jax.lax.slice_in_dim(of_all, sum(sizes[:-1]), sum(sizes), axis=-1)
+    return of_level.reshape(*of_all.shape[:-1], *_new_shape(shape, level))
 
 
 def _across(mirror):
@@ -242,8 +242,8 @@ def _between(own, parents, parent_rows, inside):
 
     number = np.arange(len(_PARENTS))[:, None]
     image = np.where(number < _COUNTS, _IMAGE * np.sum(_PARENTS**2, axis=2), np.inf).astype(np.float32)
-    given = _CORNERS, image, np.abs(_PARENTS).max(axis=2) > 1, number < _NEAREST
-    near, x, y, square, brought = jax.lax.map(parent, given)
+    parent_arrays = _CORNERS, image, np.abs(_PARENTS).max(axis=2) > 1, number < _NEAREST
+    near, x, y, square, brought = jax.lax.map(parent, parent_arrays)
     total, weights, left = _linear(near, x, y)
     wrong = 2 * np.pi * left + 0.25 * (2 * np.pi) ** 2 * _sum(jnp.abs(weights) * square)
     most = jnp.maximum(contrast, _sum(jnp.abs(weights) * brought))
@@ -292,8 +292,8 @@ def _new(lattice):
 
 def _woven(coarse, new):
     """The next lattice: the coarser one, and between it the three kinds of new pixels."""
-    row, column, both = jnp.moveaxis(new, -3, 0)
-    upper, lower = (jnp.stack(pair, axis=-1) for pair in ((coarse, row), (column, both)))
+    row, column, diagonal = jnp.moveaxis(new, -3, 0)
+    upper, lower = (jnp.stack(pair, axis=-1) for pair in ((coarse, row), (column, diagonal)))
     *more, h, w = coarse.shape
     return jnp.stack([upper, lower], axis=-3).reshape(*more, 2 * h, 2 * w)
 
@@ -309,7 +309,7 @@ def _padded(lattice, before: int, after: int, fill, axes=(-2, -1)):
 
 
 def _moved(wider, y, x):
-    """Of each new pixel, what a parent has."""
+    """What a parent of each new pixel has."""
     start, outside = (jnp.int32(0),) * (wider.ndim - 2), _BEFORE + _AFTER
     shape = (*wider.shape[:-2], wider.shape[-2] - outside, wider.shape[-1] - outside)
     return jax.lax.dynamic_slice(wider, (*start, y, x), shape)
@@ -328,7 +328,7 @@ def _within(asked, error, weights, tolerance):
 
 def _levels(shape) -> Int[Array, "h w"]:
     """The level whose pixels are each one's parents; of the coarsest lattice, which has none, one more."""
-    # Of both coordinates, how many of the lowest binary digits are 0.
+    # The number of lowest binary digits that are 0 in both coordinates.
     digits = jax.lax.broadcasted_iota(jnp.int32, shape, 0) | jax.lax.broadcasted_iota(jnp.int32, shape, 1)
     return jnp.minimum(jax.lax.population_count(~digits & (digits - 1)), LEVELS) + 1
 
@@ -376,6 +376,6 @@ def _propagate_variance(shaded, weights, variance):
 
 @jax.jit
 def _influence(shaded, weights, asked):
-    each = asked.astype(weights.dtype)
-    _, back = jax.vjp(lambda variance: _propagate_variance(shaded, weights, variance), jnp.zeros_like(each))
-    return back(each)[0]
+    variances = asked.astype(weights.dtype)
+    _, back = jax.vjp(lambda variance: _propagate_variance(shaded, weights, variance), jnp.zeros_like(variances))
+    return back(variances)[0]

@@ -22,7 +22,8 @@ from jaxrelight.numerics.random_numbers import MAX_POINTS
 # Errors between parents that are tried, and the first of them; 0 shades every pixel.
 _TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
 _FIRST = 8
-# Of the predicted error, the root mean square of what is found: 0.03 of bumpy meshes, 0.1 of smooth ones under edges.
+# The share of the predicted error that is measured, in root mean square: 0.03 for bumpy meshes, 0.1 for smooth ones
+# under edges.
 _OF_PREDICTED = 0.07
 
 
@@ -47,7 +48,7 @@ class LayerPlan(eqx.Module):
 
     @property
     def error(self) -> Float[Array, "h w"]:
-        """That is predicted of each pixel, in displayed values."""
+        """The error that is predicted of each pixel, in displayed values."""
         return _error(self.hierarchy, self.counts, self.deviation, self.power)
 
 
@@ -70,7 +71,7 @@ class Plan(eqx.Module):
 
     @property
     def samples(self) -> int:
-        """Of all pixels and components."""
+        """The number of samples of all pixels and components."""
         return sum(int(np.asarray(layer.counts).sum()) for layer in self.layers)
 
     @property
@@ -222,7 +223,7 @@ class _Candidate:
         """What is to be as small as possible."""
         if self.given is None:
             return self.budget
-        # Of those that do not fit, the fewest samples.
+        # The best of those that do not fit has the fewest samples.
         return self.error + self.error_of(self.budget) if self.least <= self.given else 1e6 + self.least
 
 

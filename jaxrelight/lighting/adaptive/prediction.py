@@ -24,7 +24,7 @@ from jaxrelight.numerics.random_numbers import vogel_points
 
 # Pixels at a time: enough for all cores, and what is made for them nearly fits their caches.
 _PIXEL_BATCH = 8192
-# Of the distance to the eye: what hides light from nearer than this is a pixel's own neighbourhood.
+# What hides light from nearer than this share of the distance to the eye is a pixel's own neighbourhood.
 _LEAST_DISTANCE = 1e-3
 # Textures count as so many times faster: a checked one has all its contrast at its bandwidth, where light has little.
 _OF_TEXTURES = 2.0
@@ -114,7 +114,7 @@ def predict(
         hidden: how far away what hides each of the `directions` is, infinite for nothing; None without shadows.
     """
     samples = drawn[1].shape[1]
-    # Of the light, what is expected of the next sample when all so far were hidden.
+    # The share of light that is expected of the next sample when all so far were hidden.
     unseen = 1 / (samples + 2)
 
     def predict_pixel(pixel_inputs):
@@ -182,5 +182,5 @@ def predict(
 
 
 def _world(omega, frame):
-    # Written out: products of small matrices are slow.
+    # The product is written out, since products of small matrices are slow.
     return jnp.sum(omega[:, None] * frame, axis=0)

@@ -187,11 +187,11 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
                 if number >= len(components):
                     work.append(None)
                     continue
-                mine = view.of_part(part, counts)
+                part_counts = view.of_part(part, counts)
                 pixels, blocked = view.surfaces.parts[part].pixels, self._blocked(view, part)
-                work.append(list_work(components[number].sampler, pixels, mine, self.method.seed, blocked))
+                work.append(list_work(components[number].sampler, pixels, part_counts, self.method.seed, blocked))
                 if heard:
-                    heard(int(mine.sum()))
+                    heard(int(part_counts.sum()))
             layers.append(tuple(work))
         return tuple(layers)
 
@@ -248,14 +248,14 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
 
         def of(part: SampledBrdf, probe: Probe) -> Prediction:
             drawn = draw(part, probe.pixels, samples)
-            given = part, light, probe.pixels, probe.curvature, probe.distance, view.pixel_angle, spacing, drawn
+            arguments = part, light, probe.pixels, probe.curvature, probe.distance, view.pixel_angle, spacing, drawn
             if not self.method.shadows:
-                return predict(*given)
+                return predict(*arguments)
             towards, points = np.asarray(directions(part, probe.pixels, drawn)), probe.known_points()
             far = np.full(towards.shape[:2], np.inf, np.float32)
             rays = np.repeat(points, samples), towards[: len(points)].reshape(-1, 3)
             far[: len(points)] = view.surfaces.points.distances(*rays).reshape(-1, samples)
-            return predict(*given, jnp.asarray(far))
+            return predict(*arguments, jnp.asarray(far))
 
         pairs = zip(view.probes, self._components(view), strict=True)
         return tuple(tuple(of(part.sampler, probe) for part in components) for probe, components in pairs)
@@ -379,7 +379,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         return view.surfaces.image(rows)
 
     def _components(self, view: AdaptiveView) -> list[tuple[SampledComponent, ...]]:
-        """Of each part's material."""
+        """The components of each part's material."""
         return [self.sampled_materials[part.material].components for part in view.surfaces.parts]
 
     def _visibility(self, lit: AdaptiveLight, view: AdaptiveView) -> Visibility:

@@ -44,7 +44,7 @@ class SampledBrdf(eqx.Module):
         return BrdfSampler(self, brdf, jax.lax.stop_gradient(sampler), omega_o, above)
 
     def texture_bandwidth(self, uv: Float[Array, "2"], footprint: Float[Array, ""]) -> Float[Array, ""]:
-        """With which the BRDF itself varies from pixel to pixel, in cycles per pixel; 0 where it is one for all."""
+        """How fast the BRDF itself varies from pixel to pixel, in cycles per pixel; 0 where it is one for all."""
         if self.map is None:
             return jnp.zeros((), uv.dtype)
         h, w = self.map.shape
@@ -92,7 +92,7 @@ class BrdfSampler(eqx.Module):
         return BrdfSample(omega_i, weight, 1 / density)
 
     def bandwidth(self, omega_i: Float[Array, "3"]) -> Float[Array, ""]:
-        """With which f · cosθ_i varies, in cycles per radian."""
+        """How fast f · cosθ_i varies, in cycles per radian."""
         if self.sampled.table is not None:
             return with_cosine(self.sampled.table.look_up(omega_i, self.omega_o))
         assert isinstance(self.brdf, LobeSum)

@@ -37,7 +37,7 @@ class Probe(eqx.Module):
     point: Int[Array, " p"]
 
     def known_points(self) -> Int[np.ndarray, " r"]:
-        """Those of pixels that are no padding, on the host."""
+        """The points of pixels that are not padding, on the host."""
         point = np.asarray(self.point)
         return point[point >= 0]
 
