@@ -66,7 +66,7 @@ def _options(kind: type, hidden: Collection[str]) -> list[tuple[str, Any, Any]]:
         option = hints[field.name]
         if field.name in texts:
             text = re.sub(r"\b[a-z]+(_[a-z]+)+\b", lambda name: f"--{name[0].replace('_', '-')}", texts[field.name])
-            # Of what is on by default, the option is one that turns it off.
+            # The option of what is on by default turns it off.
             text = f"Turns this off: {text[0].lower()}{text[1:]}" if field.default is True else text
             option = Annotated[option, tyro.conf.arg(help=text)]
         option = tyro.conf.Suppress[option] if field.name in hidden else option
