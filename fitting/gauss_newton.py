@@ -21,7 +21,7 @@ class NormalEquations(eqx.Module):
     hessian: Float[Array, "k k"]
 
     def as_minimum(self) -> optx.FunctionInfo:
-        """As Optimistix's searches take it."""
+        """The equations as Optimistix's searches take them."""
         operator = lx.MatrixLinearOperator(self.hessian, lx.positive_semidefinite_tag)
         return optx.FunctionInfo.EvalGradHessian(self.f, self.gradient, operator)
 

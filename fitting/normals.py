@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 from fitting.stack import Stack
 
-# Of a pixel's images, the darkest may lie in shadow and the brightest in a highlight: these shares are left out.
+# The darkest images of a pixel may lie in shadow and the brightest in a highlight: these shares are left out.
 DARK, BRIGHT = 0.15, 0.15
 _SWEEPS = 8
 

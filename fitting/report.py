@@ -19,7 +19,7 @@ from jaxrelight.numerics.arrays import as_array
 # Degrees from the normal, of the light of each curve.
 INCIDENCE = 15, 45, 65, 75
 _SIZE, _GAP = 192, 8
-# Of a sphere seen from +z, lit from above on the right, so that both the highlight and grazing angles show.
+# The light on a sphere seen from +z: from above on the right, so that both the highlight and grazing angles show.
 _LIGHT = np.array([0.45, 0.55, 0.70])
 
 

@@ -31,7 +31,7 @@ class Residual:
         self._bins = {name: np.digitize(angle, DEGREES) - 1 for name, angle in samples.angles().items()}
 
     def over(self, chosen: Bool[np.ndarray, " s"] | slice = slice(None)) -> float:
-        """Of some of the samples; NaN if they are all black."""
+        """The relative residual of some of the samples; NaN if they are all black."""
         total = self._size[chosen].sum()
         return float(np.sqrt(self._error[chosen].sum() / total)) if total > 0 else float("nan")
 

@@ -13,7 +13,7 @@ from fitting.samples import Samples
 from fitting.small_systems import solve_positive
 from jaxrelight.brdf.lobes import LobeSum
 
-# In units of it, differences of sums of squares that are as likely rounding as not.
+# Differences of sums of squares up to so many units of rounding are as likely rounding as not.
 _OF_ROUNDING = 100
 
 

@@ -212,7 +212,7 @@ def _with_lobes_of(common: LobeSum, fits: Fits, unknown, omega_i, omega_o, value
 
 
 def _median(f: Float[Array, "p n 3"], weight: Float[Array, "p n"]) -> Float[Array, "p 3"]:
-    """Of the samples with weight; 0 where there are none."""
+    """The median of the samples with weight; 0 where there are none."""
     return jnp.nan_to_num(jnp.nanmedian(jnp.where(weight[..., None] > 0, f, jnp.nan), axis=1))
 
 

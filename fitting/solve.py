@@ -26,7 +26,7 @@ Arrays = Array | np.ndarray
 
 # Items solved together: a slow one holds up as many, and their samples fit a processor's cache.
 BLOCK = 64
-# Of the samples' root mean square: lobes with lower peaks are what rounding leaves, which differs by processor.
+# Lobes with peaks below this share of the samples' root mean square are left by rounding, which differs by processor.
 _LEAST_PEAK = 1e-4
 
 

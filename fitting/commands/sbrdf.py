@@ -74,7 +74,7 @@ class Sbrdf:
         if self.hold_out:
             held[self.hold_out - 1 :: self.hold_out] = True
         fitted_to = stack.of(~held)
-        # Beside the output, so that the same command finds it and another one does not.
+        # Parts lie beside the output, so that the same command finds them and another one does not.
         parts = self.output.with_name(f".{self.output.name}.parts")
         with timed(seconds, "fit"), progress(self.json) as report:
             fit = fit_sbrdf(fitted_to, options, folder=parts, report=lambda done, total: report("texels", done, total))
