@@ -18,7 +18,7 @@ from jaxrelight.errors import InputError
 
 
 def versions() -> dict[str, str]:
-    """Of this package and of those that its numbers depend on."""
+    """Versions of this package and of those that its numbers depend on."""
     return {name: importlib.metadata.version(name) for name in ("jaxrelight", "jax", "embreex")}
 
 

@@ -68,7 +68,7 @@ def _configure(options: dict):
 
 
 def _default_folder() -> pathlib.Path:
-    """By kind of processor: programs hold its instructions, and a home folder may be shared by several machines."""
+    """A folder for each kind of processor: programs hold its instructions, and machines may share a home folder."""
     import platformdirs
 
     info = pathlib.Path("/proc/cpuinfo")

@@ -58,16 +58,16 @@ def _bars():
 
 @contextlib.contextmanager
 def _lines(quiet: bool):
-    # Of each stage when it began, and how much was done by then.
+    # When each stage began, and how much was done by then.
     began: dict[str, tuple[float, int]] = {}
-    told = time.monotonic()
+    last_line = time.monotonic()
 
     def show(stage: str, done: int, total: int) -> None:
-        nonlocal told
+        nonlocal last_line
         now = time.monotonic()
         start, first = began.setdefault(stage, (now, done))
-        if not quiet and now - told > _PAUSE and first < done < total:
-            told = now
+        if not quiet and now - last_line > _PAUSE and first < done < total:
+            last_line = now
             left = (now - start) / (done - first) * (total - done)
             print(f"{stage}: {_percent(done, total)} of {_counted(stage, total)}, {left:.0f} s left", file=sys.stderr)
 
