@@ -41,9 +41,9 @@ def read_fitted(path: str | pathlib.Path) -> LobeSum | Separable:
         table = read_toml(path, "a fitted material")
         if (kind := table.text("type")) != "lafortune":
             raise InputError(f"{path}: 'type' must be \"lafortune\", not {kind!r}")
-        made = read_lobes(table)
+        lobes = read_lobes(table)
         table.finish()
-        return made
+        return lobes
     raise InputError(f"{path}: a fitted material is a .toml file of lobes or a .npz file of factors")
 
 
