@@ -9,6 +9,7 @@ The public names, each loaded when it is first used:
 """
 
 import importlib
+from typing import Any
 
 _HOMES = {
     "lafortune": ("fit_lafortune", "LafortuneFit"),
@@ -21,7 +22,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     if name not in _HOME_OF:
         raise AttributeError(f"module 'fitting' has no attribute '{name}'")
     return getattr(importlib.import_module(f"fitting.{_HOME_OF[name]}"), name)

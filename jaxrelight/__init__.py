@@ -18,6 +18,7 @@ The public names, each loaded when it is first used:
 """
 
 import importlib
+from typing import Any
 
 _HOMES = {
     "scene.scene": ("load_scene", "load_lights", "Scene", "Part"),
@@ -58,7 +59,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = sorted([*_HOME_OF, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("jaxrelight")
     if name not in _HOME_OF:

@@ -3,10 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 
-def known(values: ArrayLike) -> Any:
+def known(values: Any) -> Any:
     """Numbers, and lists of them, as JSON has them; None for those that are not finite."""
     if np.ndim(values):
         return [known(value) for value in values]

@@ -4,10 +4,11 @@ Faces are +x −x +y −y +z −z, each oriented as OpenGL orients cube-map face
 """
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxrelight.operators.contract import Basis
 
@@ -45,7 +46,7 @@ def solid_angles(resolution: int) -> Float[np.ndarray, " d"]:
     return angles
 
 
-def texel_of(direction: Float[np.ndarray, "... 3"], resolution: int) -> Int[np.ndarray, "..."] | np.int64:
+def texel_of(direction: Float[np.ndarray, "... 3"], resolution: int) -> Any:
     """Index, in the order of `directions`, of the texel that each direction (of any length but 0) falls in."""
     axis = np.argmax(np.abs(direction), axis=-1)
     major = np.take_along_axis(direction, axis[..., None], axis=-1)[..., 0]

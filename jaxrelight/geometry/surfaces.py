@@ -37,7 +37,9 @@ class Surfaces:
     centre: Float[np.ndarray, "3"]
     radius: float
 
-    def to_scene(self, world: Sequence[float] | Real[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+    def to_scene(
+        self, world: Sequence[float] | Sequence[Sequence[float]] | Real[np.ndarray, "... 3"]
+    ) -> Float[np.ndarray, "... 3"]:
         """Positions in scene space of world positions."""
         return (np.asarray(world, float) - self.centre) / self.radius
 

@@ -151,15 +151,15 @@ def spot(position: Vector, target: Vector, intensity: Numbers, cutoff: Number, b
         InputError: for a target at the position, angles that are not 0 ≤ beam ≤ cutoff ≤ 180 with cutoff > 0, or
             numbers as `point` refuses.
     """
-    beam = 0.75 * cutoff if beam is None else beam
-    dtype = float_dtype(position, target, intensity, cutoff, beam)
-    inner, outer = as_numbers(beam), as_numbers(cutoff)
+    beam_angle: Any = 0.75 * cutoff if beam is None else beam
+    dtype = float_dtype(position, target, intensity, cutoff, beam_angle)
+    inner, outer = as_numbers(beam_angle), as_numbers(cutoff)
     sound = inner.ndim == outer.ndim == 0
     sound = sound and holds(lambda inner: inner >= 0, inner)
     sound = sound and holds(lambda outer: (outer > 0) & (outer <= 180), outer)
     if not (sound and holds(lambda inner, outer: inner <= outer, inner, outer)):
         raise InputError(
-            f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {shown(beam)} and cutoff {shown(cutoff)}"
+            f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {shown(beam_angle)} and cutoff {shown(cutoff)}"
         )
     place, aim = vector("position", position, dtype), vector("target", target, dtype)
     if not holds(lambda place, aim: (place != aim).any(), place, aim):

@@ -54,7 +54,7 @@ def of_texel(spatial, row: int, column: int) -> np.ndarray:
         spatial.C[row, column][:, None],
         spatial.exponent[row, column][:, None],
         spatial.scale[row, column],
-        np.asarray(np.arctan2(sine, cosine) / 2),
+        jnp.asarray(np.arctan2(sine, cosine) / 2),
     )
     return np.asarray(own.evaluate(*OMEGA))
 
