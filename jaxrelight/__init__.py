@@ -21,7 +21,8 @@ import importlib
 from typing import Any
 
 _HOMES = {
-    "scene.scene": ("load_scene", "load_lights", "Scene", "Part"),
+    "scene.scene": ("Scene", "Part"),
+    "scene.scene_file": ("load_scene", "load_lights"),
     "scene.mesh_scene": ("scene_of_mesh",),
     "geometry.camera": ("Camera",),
     "geometry.mesh": ("Mesh", "load_mesh", "normalized", "transformed", "with_back"),

@@ -37,7 +37,8 @@ from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.lights.environment import encode
 from jaxrelight.lights.lights import LightsLike
 from jaxrelight.lights.sun import without_sun
-from jaxrelight.operators.clustered import Clustered, cluster, clustered
+from jaxrelight.operators.clustered import Clustered, clustered
+from jaxrelight.operators.clustering import cluster
 from jaxrelight.operators.contract import as_lineax
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from tests.compilations import compilations

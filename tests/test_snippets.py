@@ -1,15 +1,20 @@
 """Every Python snippet of the README, the guide and docstrings runs, and asserts its own result."""
 
+import ast
+import inspect
 import pathlib
 import re
 import subprocess
 import sys
+import textwrap
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jaxrelight as jr
 from jaxrelight.geometry.mesh import Mesh
+from tests.scenes import ball_over_floor
 
 ROOT = pathlib.Path(__file__).parents[1]
 GUIDE = ROOT / "notebooks" / "guide"
@@ -62,6 +67,38 @@ def test_snippets_run(page: pathlib.Path, folder: pathlib.Path):
         picture = jr.read_image(folder / "bunny.png")
         assert picture.shape == (512, 512, 3)
         assert 0.02 < picture[..., :3].mean() < 1
+
+
+def _snippet_of(thing: object) -> str:
+    """The indented lines of a docstring."""
+    lines = (inspect.getdoc(thing) or "").split("\n\n")[1].splitlines()
+    assert all(line.startswith("    ") for line in lines)
+    return textwrap.dedent("\n".join(lines))
+
+
+def test_snippets_of_docstrings_run():
+    """Those of `Relighter` and `LightLayers`; a search says that no other class or module has one."""
+    camera = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=12, height=10)
+    lamps = [jr.point([1, 2, 1], 3), jr.point([-1, 2, 0], 2), jr.directional([0, -1, 0.2], 1)]
+    scene = ball_over_floor(jr.phong(0.4, 0.2, 8), camera, quads=(1, 8))
+    relighter = jr.prepare(scene, jr.Prefiltered(map_rows=32))
+    names = {"jr": jr, "relighter": relighter, "camera": camera, "lights": lamps, "LightLayers": jr.LightLayers}
+    exec(_snippet_of(jr.Relighter), names)
+    image: Any = names["image"]
+    np.testing.assert_allclose(image.radiance, relighter.picture(lamps)[..., :3], rtol=1e-5, atol=1e-6)
+    exec(_snippet_of(jr.LightLayers), names)
+    moved: Any = [jr.point([1, 2, 0], 5 * np.array([1, 0.9, 0.8])), jr.directional([0, -1, 0.2], 2)]
+    np.testing.assert_allclose(names["picture"], relighter.picture(moved)[..., :3], rtol=1e-5, atol=1e-6)
+    pattern = re.compile(r"^ {4,}[a-z_]+ = (relighter|jr|LightLayers|layers)\b.*\n(?! *\S+ = )", re.MULTILINE)
+    found = {
+        path.name
+        for root in ("jaxrelight", "fitting")
+        for path in (ROOT / root).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.Module)
+        if pattern.search(ast.get_docstring(node) or "")
+    }
+    assert found == {"contract.py", "light_layers.py"}
 
 
 def test_scene_of_the_guide_loads(folder: pathlib.Path):

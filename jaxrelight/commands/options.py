@@ -66,7 +66,7 @@ class LightOptions:
         """
         from jaxrelight.lights.environment import load_environment
         from jaxrelight.lights.lights import Lights
-        from jaxrelight.scene.scene import load_lights
+        from jaxrelight.scene.scene_file import load_lights
 
         environment = default.environment
         if self.env is not None:

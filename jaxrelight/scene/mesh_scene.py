@@ -13,7 +13,8 @@ from jaxrelight.geometry.mesh_files import READERS
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.scene.demo_scene import evening_sky
-from jaxrelight.scene.scene import Part, Scene, file_parts, load_scene
+from jaxrelight.scene.scene import Part, Scene
+from jaxrelight.scene.scene_file import file_parts, load_scene
 
 # Camera and floor for a mesh whose longest side is 1; the eye looks from the front, a little from the right and above.
 _EYE = np.array([0.42, 0.38, 1.0])

@@ -28,7 +28,8 @@ from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import filled_up
-from jaxrelight.operators.clustered import Cluster, Clustered, as_clusters
+from jaxrelight.operators.clustered import Cluster, Clustered
+from jaxrelight.operators.clustering import as_clusters
 from jaxrelight.operators.contract import Operator, parts_of
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake

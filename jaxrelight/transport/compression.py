@@ -15,7 +15,8 @@ from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lights.natural_spectrum import natural_spectrum
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.numerics.buckets import bucket
-from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
+from jaxrelight.operators.clustered import Cluster, Clustered, clustered, quantised_clusters
+from jaxrelight.operators.clustering import cluster
 from jaxrelight.operators.quantised import Quantised, quantised
 from jaxrelight.operators.sparse_rows import SparseRows, smallest_index_type, sparse_rows
 from jaxrelight.transport import bake

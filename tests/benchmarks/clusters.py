@@ -218,7 +218,7 @@ def _lit(rows: Float[np.ndarray, "r c d"], light: Float[np.ndarray, "d 3"]) -> F
 def sample(scene, terms: int, count: int, lights, quick: bool) -> Sample:
     """Bakes some groups, and compresses them in all ways."""
     from jaxrelight.lights.natural_spectrum import natural_spectrum
-    from jaxrelight.operators.clustered import cluster
+    from jaxrelight.operators.clustering import cluster
 
     rng, sigma, same = np.random.default_rng(SEED), natural_spectrum(RESOLUTION), np.ones(COLUMNS, np.float32)
     _, _, _, baked = _whole_rows(scene, terms, lambda every: np.sort(rng.choice(every, count, replace=False)))
@@ -357,7 +357,7 @@ def seams(report: Report, scene, lights, count: int):
     """Jumps of the error along edges, between groups and within them."""
     from jaxrelight.geometry.receivers import GROUP
     from jaxrelight.lights.natural_spectrum import natural_spectrum
-    from jaxrelight.operators.clustered import cluster
+    from jaxrelight.operators.clustering import cluster
 
     def neighbours(every):
         start = int(np.random.default_rng(SEED).integers(len(every) - count + 1))

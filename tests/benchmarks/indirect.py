@@ -170,9 +170,10 @@ def closed(report: Report, samples: int, folder: pathlib.Path, most: int):
 
     import jaxrelight as jr
     from jaxrelight.brdf.material import Component, Material
+    from tests.scenes import inside_out
 
     made = jr.box((1, 1, 1), 16)
-    walls = dataclasses.replace(made, faces=made.faces[:, ::-1], normals=-made.normals)
+    walls = inside_out(made)
     white = Material((Component(jr.lambert(WHITE)),), emission=np.ones(3, np.float32))
     camera = jr.Camera((0, 0.05, 0.4), (0.1, -0.1, -1), fov_y=70.0, width=64, height=64)
     scene, rows = jr.Scene([jr.Part(walls, "white")], {"white": white}, camera), []

@@ -61,9 +61,10 @@ def box(report: Report, folder: pathlib.Path, resolution: int):
     """A closed box whose walls emit and reflect one half, against its series."""
     import jaxrelight as jr
     from jaxrelight.brdf.material import Component, Material
+    from tests.scenes import inside_out
 
     made = jr.box((1, 1, 1), 8)
-    inside = dataclasses.replace(made, faces=made.faces[:, ::-1], normals=-made.normals)
+    inside = inside_out(made)
     wall = Material((Component(jr.lambert([0.5] * 3)),), emission=np.ones(3, np.float32))
     camera = jr.Camera((0, 0, 0.4), (0.2, 0.1, -1), fov_y=80.0, width=64, height=64)
     scene = jr.Scene([jr.Part(inside, "wall")], {"wall": wall}, camera)

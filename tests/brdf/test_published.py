@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
-from jaxrelight.scene.scene import load_scene
+from jaxrelight.scene.scene_file import load_scene
 from tests.brdf.test_lobes import PAIRS, albedo, at, hemisphere
 from tests.shared_data import shared
 

@@ -1,7 +1,5 @@
 """Rows of what is gathered: against form factors in closed form, whole rows, and the energy of closed rooms."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
@@ -15,6 +13,7 @@ from jaxrelight.gather.gather_cloud import gather_cloud
 from jaxrelight.geometry.receivers import Receivers
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import OFFSET, Tracer
+from tests.scenes import inside_out, raised
 
 FRAME = np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]])  # of a surface that looks up
 
@@ -23,16 +22,8 @@ def white(count: int) -> FixedView:
     return FixedView(white_lambert(), jax.device_put(np.tile(np.array([0, 0, 1], np.float32), (count, 1))))
 
 
-def looking_down(mesh):
-    return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals)
-
-
-def at(mesh, y: float):
-    return dataclasses.replace(mesh, vertices=np.add(mesh.vertices, [0, y, 0]))
-
-
 def inside(size=(1, 1, 1), resolution: int = 8):
-    return looking_down(jr.box(size, resolution))
+    return inside_out(jr.box(size, resolution))
 
 
 def upwards(positions) -> Receivers:
@@ -61,7 +52,7 @@ def encoded(light, cloud) -> np.ndarray:
 
 def test_a_square_overhead():
     """The form factor of a parallel square, from a point below its middle (Howell's catalogue, B-3, four times)."""
-    surfaces = join([at(looking_down(jr.plane((2, 2), 8)), 1.0), at(jr.plane((0.1, 0.1), 1), -1)])
+    surfaces = join([raised(inside_out(jr.plane((2, 2), 8)), 1.0), raised(jr.plane((0.1, 0.1), 1), -1)])
     place = surfaces.to_scene([[0, 0.3, 0], [0, -0.4, 0]])
     found = gathered(surfaces, 4096, place)
     for y, value in zip((0.3, -0.4), found, strict=True):
@@ -169,9 +160,9 @@ def test_points_in_a_peak_are_told_apart():
 
 def test_nothing_comes_from_behind_or_through():
     """A floor under the receiver, a square whose back is seen, and one behind another."""
-    below, back = at(jr.plane((2, 2), 4), -1), at(jr.plane((2, 2), 4), 1)
+    below, back = raised(jr.plane((2, 2), 4), -1), raised(jr.plane((2, 2), 4), 1)
     assert gathered(join([below, back]), 64, join([below, back]).to_scene([[0, 0, 0]])) == 0
-    lid, shield = at(looking_down(jr.plane((1, 1), 4)), 1), at(jr.plane((6, 6), 4), 0.5)
+    lid, shield = raised(inside_out(jr.plane((1, 1), 4)), 1), raised(jr.plane((6, 6), 4), 0.5)
     surfaces = join([lid, shield])
     assert gathered(surfaces, 64, surfaces.to_scene([[0, 0, 0]])) == 0
 

@@ -1,6 +1,5 @@
 """Photons: their energy, where they land, and what stops them."""
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,7 @@ from jaxrelight.gather.photons import shoot
 from jaxrelight.geometry.mesh import with_back
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import Tracer
-
-
-def turned(mesh):
-    return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals)
-
-
-def moved(mesh, *by: float):
-    return dataclasses.replace(mesh, vertices=np.add(mesh.vertices, by))
+from tests.scenes import inside_out, moved
 
 
 def of(albedo):
@@ -31,7 +23,7 @@ def shot(meshes, place, albedo: Any = 0.5, each=4096, length: int | None = 1, **
     return shoot(surfaces, Tracer(surfaces), where, np.array([[0.0, 1, 0]]), of(albedo), each, length, **more)
 
 
-ROOM = [turned(jr.box((1, 1, 1), 4))]
+ROOM = [inside_out(jr.box((1, 1, 1), 4))]
 FLOOR = 0.0, -0.5, 0.0
 
 
@@ -58,12 +50,14 @@ def test_they_leave_by_the_cosine():
     x = 1.0
     share = x / np.sqrt(1 + x * x)
     wanted = 4 / (2 * np.pi) * 2 * share * np.arctan(share)
-    found = shot([moved(turned(jr.plane((2, 2), 4)), 0, 1, 0), jr.plane((0.1, 0.1), 1)], (0, 0.001, 0), each=20_000)
+    found = shot(
+        [moved(inside_out(jr.plane((2, 2), 4)), (0, 1, 0)), jr.plane((0.1, 0.1), 1)], (0, 0.001, 0), each=20_000
+    )
     assert len(found.origins) / 20_000 == pytest.approx(wanted, abs=0.02)
 
 
 def test_backs_stop_them_unless_they_are_surfaces():
-    lid = moved(jr.plane((2, 2), 2), 0, 0.2, 0)
+    lid = moved(jr.plane((2, 2), 2), (0, 0.2, 0))
     assert not len(shot([lid], (0, 0, 0)).origins)
     found = shot([with_back(lid)], (0, 0, 0))
     assert len(found.origins) > 1000

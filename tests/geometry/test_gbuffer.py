@@ -14,7 +14,7 @@ from jaxrelight.geometry.primitives import plane, sphere
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.images import read_image
-from jaxrelight.scene.scene import load_scene
+from jaxrelight.scene.scene_file import load_scene
 from tests.shared_data import shared
 
 

@@ -1,7 +1,5 @@
 """Groups of receivers, and the way back from them."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -14,6 +12,7 @@ from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, ver
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.transport.visibility import trace_visibility
+from tests.scenes import inside_out
 
 # Materials 2, 0, 2 of meshes with 81, 386 and 256 vertices.
 MESHES = [
@@ -71,7 +70,7 @@ def test_groups_are_close_together():
 def test_no_ray_from_a_rim_passes_between_walls():
     """The vertices of a room's walls lie in each other's planes, at edges and in corners."""
     room = box((1, 1, 1), 3)
-    surfaces = join([dataclasses.replace(room, faces=room.faces[:, ::-1], normals=-room.normals)])
+    surfaces = join([inside_out(room)])
     receivers = vertex_receivers(surfaces, np.array([0]))
     directions = cubemap.directions(16)
     bits, _ = trace_visibility(

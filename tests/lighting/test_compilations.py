@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Part, Scene
+from jaxrelight import Scene
 from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter
 from jaxrelight.methods import Adaptive, Transport
 from tests.compilations import compilations
+from tests.scenes import ball_over_floor
 
 SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
@@ -18,8 +19,7 @@ SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients=24, factor_
 
 
 def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:
-    parts = [Part(jr.plane((2, 2), floor), "floor"), Part(jr.sphere(0.35, ball), "ball")]
-    return Scene(parts, {"floor": jr.lambert([0.7, 0.6, 0.5]), "ball": jr.phong(0.2, 0.3, 6)}, camera, SKY)
+    return ball_over_floor(jr.phong(0.2, 0.3, 6), camera, SKY, quads=(floor, ball), height=0.0)
 
 
 def _picture(scene: Scene, settings: Transport, folder) -> np.ndarray:

@@ -18,7 +18,9 @@ from jaxrelight.lights.local import directional, point, spot
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation import cloud_layers as indirect
 from jaxrelight.precomputation.precompute import precompute
+from tests import scenes
 from tests.gather.test_final_gather import kernel_at_parts
+from tests.scenes import inside_out
 
 SMALL = Indirect(gather_samples=256, bounces=3, compression_tolerance=0.0)
 CAMERA = jr.Camera((0, 0.05, 0.4), (0.1, -0.1, -1), fov_y=70.0, width=12, height=10)
@@ -26,13 +28,12 @@ LAMP = point([0.1, 0.2, 0.05], [1.0, 0.8, 0.6])
 
 
 def inside(resolution: int = 6) -> jr.Mesh:
-    made = jr.box((1, 1, 1), resolution)
-    return dataclasses.replace(made, faces=made.faces[:, ::-1], normals=-made.normals)
+    return inside_out(jr.box((1, 1, 1), resolution))
 
 
 def room(albedo, emission=None, more: tuple[Part, ...] = (), **materials) -> Scene:
     wall = Material((Component(jr.lambert(albedo)),), emission=emission)
-    return Scene([Part(inside(), "wall"), *more], {"wall": wall, **materials}, CAMERA)
+    return scenes.room(wall, CAMERA, 6, more, **materials)
 
 
 def ball(material: str) -> Part:

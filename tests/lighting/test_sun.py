@@ -6,28 +6,18 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import Part, Scene
-from jaxrelight.geometry import mesh as meshes
+from jaxrelight import Scene
 from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from tests.opening import open_transport
+from tests.scenes import block_aside
 
 SETTINGS = Transport("vertices", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
 
 
 def _scene(block: str = "gloss") -> Scene:
-    aside = np.eye(4)
-    aside[:3, 3] = 0.5, 0.3, 0.2
-    parts = [
-        Part(jr.plane((2, 2), 6), "paper"),
-        Part(meshes.transformed(jr.box((0.3, 0.6, 0.2), 2), aside), block),
-    ]
-    materials = {
-        "paper": jr.lambert([0.7, 0.6, 0.5]),
-        "gloss": jr.phong([0.2, 0.3, 0.1], [0.4, 0.3, 0.2], 6.0),
-    }
-    return Scene(parts, materials, jr.Camera((0.4, 1.2, 2.2), (0.1, 0.2, 0), fov_y=50, width=16, height=12))
+    return block_aside(jr.phong([0.2, 0.3, 0.1], [0.4, 0.3, 0.2], 6.0), block, quads=6)
 
 
 def _sky(sun: float, low: float = 0.0) -> jr.Environment:

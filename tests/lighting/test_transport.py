@@ -16,28 +16,14 @@ from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport.compression import padded_receivers
 from tests.opening import open_transport
+from tests.scenes import block_aside, raised
 
 SKY = np.random.default_rng(6).gamma(0.4, size=(8, 16, 3)).astype(np.float32)
 
 
-def _up(mesh, height: float):
-    matrix = np.eye(4)
-    matrix[1, 3] = height
-    return meshes.transformed(mesh, matrix)
-
-
 def _scene() -> Scene:
-    """A glossy ball beside a block on a floor; nothing about it is symmetric."""
-    aside = np.eye(4)
-    aside[:3, 3] = 0.5, 0.3, 0.2
-    parts = [
-        Part(jr.plane((2, 2), 4), "paper"),
-        Part(_up(jr.sphere(0.35, 4), 0.4), "gloss"),
-        Part(meshes.transformed(jr.box((0.3, 0.6, 0.2), 2), aside), "paper"),
-    ]
-    materials = {"paper": jr.lambert([0.7, 0.6, 0.5]), "gloss": jr.phong([0.2, 0.3, 0.1], 0.4, 6.0)}
-    camera = jr.Camera((0.4, 1.2, 2.2), (0.1, 0.2, 0), fov_y=50, width=16, height=12)
-    return Scene(parts, materials, camera)
+    """A glossy ball beside a block on a floor."""
+    return block_aside(jr.phong([0.2, 0.3, 0.1], 0.4, 6.0), "paper", ball=True)
 
 
 @pytest.fixture(scope="module", params=["vertices", "pixels"])
@@ -143,7 +129,7 @@ def test_many_lights_are_each_by_itself(relighter: TransportRelighter):
 def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     """What bounces add is added to each: to clusters, and to rows that are baked as they are needed."""
     lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))
-    parts = [Part(jr.plane((2, 2), 2), "paper"), Part(_up(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
+    parts = [Part(jr.plane((2, 2), 2), "paper"), Part(raised(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
     scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
     settings = Transport("vertices", resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients)
     precompute(scene, settings, tmp_path)

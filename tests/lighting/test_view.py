@@ -6,23 +6,19 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Scene
-from jaxrelight.geometry import mesh as meshes
+from jaxrelight import InputError, Scene
 from jaxrelight.lighting.transport import TransportRelighter, TransportView
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from tests.opening import open_transport
+from tests.scenes import ball_over_floor
 
 SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(4, 8, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=14, height=12)
 
 
-@pytest.fixture(scope="module")
 def scene() -> Scene:
-    up = np.eye(4)
-    up[1, 3] = 0.4
-    parts = [Part(jr.plane((2, 2), 4), "floor"), Part(meshes.transformed(jr.sphere(0.35, 4), up), "ball")]
-    return Scene(parts, {"floor": jr.lambert([0.7, 0.6, 0.5]), "ball": jr.lambert(0.3)}, CAMERA)
+    return ball_over_floor(jr.lambert(0.3), CAMERA)
 
 
 @pytest.fixture(scope="module")

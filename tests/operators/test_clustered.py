@@ -6,15 +6,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxrelight.operators.clustered import (
-    _GROUP_BATCH,
-    Cluster,
-    Clustered,
-    as_clusters,
-    cluster,
-    clustered,
-    quantised_clusters,
-)
+from jaxrelight.operators.clustered import _GROUP_BATCH, Cluster, Clustered, clustered, quantised_clusters
+from jaxrelight.operators.clustering import as_clusters, cluster
 from jaxrelight.operators.sparse_rows import sparse_rows
 
 D = 96  # texels of a 6×4² cube map

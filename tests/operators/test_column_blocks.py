@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrelight.operators.clustered import cluster, clustered
+from jaxrelight.operators.clustered import clustered
+from jaxrelight.operators.clustering import cluster
 from jaxrelight.operators.column_blocks import ColumnBlocks
 
 ROWS, COLUMNS = 16, 64

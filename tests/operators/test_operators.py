@@ -12,7 +12,8 @@ from jax.sharding import Mesh
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factored import Factored
-from jaxrelight.operators.clustered import Cluster, Clustered, cluster, clustered, quantised_clusters
+from jaxrelight.operators.clustered import Cluster, Clustered, clustered, quantised_clusters
+from jaxrelight.operators.clustering import cluster
 from jaxrelight.operators.contract import Operator, as_lineax
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.quantised import Quantised, quantised

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError, Part, Scene
+from jaxrelight import InputError, Scene
 from jaxrelight.files import store
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport.model import PrecomputedIndirect
 from jaxrelight.transport.rebake import exact, rebake
+from tests.scenes import ball_over_floor
 from tests.transport.stores import reflections_of
 
 METHOD = jr.Indirect(gather_samples=64, bounces=2, direct_samples=1)
@@ -22,9 +23,9 @@ LAMP = jr.point([0.2, 1.5, 0.5], [3.0, 2.0, 1.0])
 
 
 def _scene() -> Scene:
-    parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
-    materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
-    return Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8), LAMP)
+    camera = jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8)
+    gloss = jr.phong(0.1, 0.3, 5)
+    return ball_over_floor(gloss, camera, LAMP, paper=jr.lambert(0.5), quads=(2, 2), radius=0.4, height=0.0)
 
 
 @pytest.fixture(scope="module")

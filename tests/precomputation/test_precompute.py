@@ -40,6 +40,7 @@ from jaxrelight.scene.demo_scene import demo_scene
 from jaxrelight.transport.model import PrecomputedTransport
 from jaxrelight.transport.rebake import exact, rebake
 from tests.operators.derivatives import check_derivatives, derivatives
+from tests.scenes import ball_over_floor
 from tests.transport.stores import load_transport, number_of, open_transport, reflections_of
 
 # One set of shapes for most of the file: compiling is what takes time here.
@@ -692,19 +693,13 @@ def test_place_and_size_of_the_world_do_not_matter(request, scene, tmp_path, sca
 
 
 def _small_scene() -> Scene:
-    up = np.eye(4)
-    up[1, 3] = 0.4
-    parts = [Part(jr.plane((2, 2), 3), "paper"), Part(meshes.transformed(jr.sphere(0.35, 3), up), "gloss")]
-    materials = {
-        "paper": jr.lambert([0.7, 0.6, 0.5]),
-        "gloss": jr.lobe_sum(
-            [0.2, 0.3, 0.1],
-            [jr.lobe([-1, -1, 0.9], 4.0, specular=[0.5, 0.4, 0.3]), jr.lobe([0.8, 0.7, 0.9], 3.0, specular=0.2)],
-        ),
-    }
+    gloss = jr.lobe_sum(
+        [0.2, 0.3, 0.1],
+        [jr.lobe([-1, -1, 0.9], 4.0, specular=[0.5, 0.4, 0.3]), jr.lobe([0.8, 0.7, 0.9], 3.0, specular=0.2)],
+    )
     camera = jr.Camera((0.3, 1.2, 2.2), (0, 0.3, 0), fov_y=50, width=8, height=6)
     sky = jr.environment(np.random.default_rng(1).gamma(0.5, size=(4, 8, 3)))
-    return Scene(parts, materials, camera, sky)
+    return ball_over_floor(gloss, camera, sky, quads=(3, 3))
 
 
 @pytest.fixture(scope="module", params=["vertices", pytest.param("pixels", marks=pytest.mark.slow)])

@@ -19,6 +19,7 @@ from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport import bake, bounce
 from jaxrelight.transport.model import PrecomputedTransport, frames_of
 from jaxrelight.transport.rebake import exact, rebake
+from tests import scenes
 from tests.transport.scenes import ball_on_floor
 from tests.transport.stores import block_of, load_transport, precomputed, reflections_of
 
@@ -37,10 +38,8 @@ def emitting(albedo: float, radiance: float = 1.0) -> Material:
 
 def room(albedo: float, radiance: float = 1.0) -> Scene:
     """A box seen from inside, whose walls all emit."""
-    box = jr.box((1, 1, 1), 2)
-    inside = dataclasses.replace(box, faces=box.faces[:, ::-1], normals=-box.normals)
     camera = jr.Camera((0, 0, 0.4), (0, 0, -1), fov_y=60.0, width=8, height=8)
-    return Scene([Part(inside, "wall")], {"wall": emitting(albedo, radiance)}, camera)
+    return scenes.room(emitting(albedo, radiance), camera)
 
 
 def radiance_at_vertices(transport: PrecomputedTransport) -> np.ndarray:
