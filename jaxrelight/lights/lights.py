@@ -38,10 +38,11 @@ class Lights(eqx.Module):
         return self.environment.notes if self.environment is not None else ()
 
 
-LightsLike = Lights | Environment | Light | Sequence["Lights | Environment | Light"] | None
+_AnyLight = Lights | Environment | Light
+LightsLike = _AnyLight | Sequence[_AnyLight | Sequence[_AnyLight]] | None
 
 
-def as_lights(given: "LightsLike") -> Lights:
+def as_lights(given: LightsLike) -> Lights:
     """An environment, a local light, a sequence of both, or nothing, as `Lights`.
 
     Raises:

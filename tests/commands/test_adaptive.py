@@ -18,6 +18,7 @@ def picture(name: str, *dials) -> tuple[np.ndarray, dict]:
     return np.where(pixels[..., 3:] > 0, pixels[..., :3], 0), summary
 
 
+@pytest.mark.slow
 def test_environment_lights_and_shadows_add_up():
     (sky, told), (lamp, _) = picture("sky"), picture("lamp")
     assert told["samples"] > 0

@@ -69,6 +69,7 @@ def test_lights_are_moved_without_precomputing():
     assert (read_image("sky.exr")[seen] >= own[seen] - 1e-6).all()
 
 
+@pytest.mark.slow
 def test_a_sky_in_the_cloud_is_changed_without_precomputing():
     """What a sky adds to a lamp is twice as much for twice the sky."""
     arguments = "--lighting", "indirect", "--bounces", "1", "--background", "none", *FEW, "--json"
@@ -121,6 +122,7 @@ def test_other_cameras_and_files_without_lights_are_refused():
     assert "direct samples are 17; they must be whole numbers from 1 to 16" in refused
 
 
+@pytest.mark.slow
 def test_direct_light_is_sampled_as_often_as_the_store_says_or_relight_does():
     """More samples of direct light are another picture, with the same indirect light."""
     summary_of(run("precompute", "lamp.toml", "-o", "made", *FEW, "--direct-samples", "1", "--json"))

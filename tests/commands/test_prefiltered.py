@@ -27,6 +27,7 @@ def picture(name: str, *dials) -> np.ndarray:
     return np.where(pixels[..., 3:] > 0, pixels[..., :3], 0)
 
 
+@pytest.mark.slow
 def test_environment_and_lights_add_up():
     sky, lamp, everywhere = picture("sky"), picture("lamp"), picture("lamp", "--no-shadows")
     np.testing.assert_allclose(picture("both"), sky + lamp, rtol=2e-3, atol=1e-4)

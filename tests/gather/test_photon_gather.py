@@ -32,6 +32,7 @@ def test_a_closed_room_is_its_series(tmp_path, bounces):
     assert np.quantile(np.abs(more / wanted - 1), 0.9) < 0.15
 
 
+@pytest.mark.slow
 def test_a_picture_is_that_of_gathering(tmp_path):
     scene = room([0.7, 0.6, 0.5], None, (ball("gloss"),), gloss=jr.phong(0.2, 0.5, 20.0))
     lamp = [point([0.1, 0.2, 0.05], [1.0, 0.8, 0.6])]

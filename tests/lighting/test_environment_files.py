@@ -49,6 +49,7 @@ def test_bad_pixels_of_a_file_are_black_in_the_light_and_no_others_change(tmp_pa
             load_environment(tmp_path / "sky.exr")
 
 
+@pytest.mark.slow
 def test_the_same_light_in_files_of_other_sizes_and_kinds_is_the_same_picture(tmp_path, picture):
     """Constant cells split in other ways, and a cube map of the same smooth radiance."""
     sky = _sky(4)

@@ -75,6 +75,7 @@ def test_a_light_at_a_point_of_the_cloud(usual):
     assert np.isfinite(usual.picture(point(place, 1.0))).all()
 
 
+@pytest.mark.slow
 def test_rooms_that_no_light_reaches_are_black(tmp_path):
     """Another closed room beside this one, which is lit; with importance, too, which has no use for it."""
     beside = Part(moved(inside(), (3, 0, 0)), "wall")

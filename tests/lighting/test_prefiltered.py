@@ -286,6 +286,7 @@ def test_directions_of_anisotropy_follow_the_texture_coordinates():
     assert not others.surfaces().uv_tangents.any()
 
 
+@pytest.mark.slow
 def test_reflectance_between_texels_is_the_mean_of_theirs():
     """A card of two columns of texels, of sharp lobes and soft ones: in the middle of the card both are seen half."""
     mirror = [[-1, -1, 1]] * 2

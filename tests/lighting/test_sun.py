@@ -59,6 +59,7 @@ def test_a_sun_adds_no_error(tmp_path, change):
         assert np.linalg.norm(whole - wanted) > 10 * np.linalg.norm(found - wanted)
 
 
+@pytest.mark.slow
 def test_a_sun_bounces(tmp_path):
     """Bounced light of a sun is that of its coefficients: what the bounce adds is the same with it split off."""
     settings = dataclasses.replace(SETTINGS, coefficients="shared", compression_tolerance=0.0)

@@ -44,7 +44,8 @@ def _finish(*children: subprocess.Popen) -> list[str]:
     return [output for output, _ in said]
 
 
-@pytest.mark.parametrize("name", [pytest.param("rows in 8 bits, grey", marks=pytest.mark.slow), "stacked"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rows in 8 bits, grey", "stacked"])
 def test_one_device(name):
     check(CASES[name](), _mesh())
 

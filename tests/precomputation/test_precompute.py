@@ -469,9 +469,8 @@ print("end", flush=True)
 """
 
 
-@pytest.mark.parametrize(
-    "moments", [3, pytest.param(20, marks=pytest.mark.slow)], ids=lambda moments: f"{moments} times"
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("moments", [20], ids=lambda moments: f"{moments} times")
 def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: int):
     """A store is killed again and again, a few reports after its start and a moment later, until it is whole.
 

@@ -204,6 +204,7 @@ def test_listed_work_is_what_is_estimated_at_once():
     assert not np.asarray(estimate_listed(part, sky(), pixels, list_work(part, pixels, 0 * mixed), 5)).any()
 
 
+@pytest.mark.slow
 def test_listed_work_is_linear_in_light_inside_of_jit():
     """So the gradient along the light is the sum itself; outside of jit, where rays are cast on the way, too."""
     part, pixels = sampled(MATT), view().pixels

@@ -303,6 +303,7 @@ def test_maps_show_what_was_planned():
     np.testing.assert_allclose(total, np.hypot(plan.interpolation, plan.noise), rtol=0.25)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_and_descend():
     ball = Scene([Part(sphere(1, 24), "skin")], {"skin": GLOSSY}, CAMERA)
     relighter = prepared(ball, samples=16, shadows=False)
