@@ -7,13 +7,14 @@ from jaxrelight.gather.importance import Importance
 from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import Tracer
-from tests.gather.test_photons import moved, of, turned
+from tests.gather.test_photons import of
+from tests.scenes import inside_out, moved
 
 
 def test_what_the_picture_is_lit_by_is_worth_more():
     """Of two closed rooms, the one that the camera is in; in it, the floor below the wall that is seen."""
-    room = turned(jr.box((1, 1, 1), 4))
-    surfaces = join([room, moved(room, 3, 0, 0)])
+    room = inside_out(jr.box((1, 1, 1), 4))
+    surfaces = join([room, moved(room, (3, 0, 0))])
     tracer = Tracer(surfaces)
     seen = trace_gbuffer(surfaces, tracer, jr.Camera((0, 0, 0), (0, 0, -1), fov_y=50.0, width=16, height=16))
     worth = Importance(surfaces, tracer, seen, of(0.5), 2**14)

@@ -17,6 +17,7 @@ SKY = jr.environment(np.random.default_rng(6).gamma(0.4, size=(4, 8, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=14, height=12)
 
 
+@pytest.fixture(scope="module")
 def scene() -> Scene:
     return ball_over_floor(jr.lambert(0.3), CAMERA)
 
@@ -58,8 +59,8 @@ def test_every_covered_pixel_belongs_to_one_material(request, receivers: str):
     np.testing.assert_array_equal(shown >= 0, view.surfaces.covered)
     assert view.shape == (12, 14)
     # The middle of the image shows the ball, the row below it the floor in front.
-    assert shown[6, 7] == _number(relighter, "ball")
-    assert shown[9, 7] == _number(relighter, "floor")
+    assert shown[6, 7] == _number(relighter, "gloss")
+    assert shown[9, 7] == _number(relighter, "paper")
     groups = {block.material: len(block.groups) for block in relighter.transport.blocks}
     for part, corners in zip(view.surfaces.parts, view.corners, strict=True):
         assert len(part.pixels.pixel) == 1024
@@ -115,12 +116,12 @@ def test_diffuse_surface_looks_the_same_from_everywhere(free: TransportRelighter
     radiance = []
     for origin in ((1.2, 2, 0.9), (-1.2, 1, 1.5), (0.9, 3, 1.1)):
         camera = jr.Camera(origin, (0.7, 0, 0.7), fov_y=20, width=5, height=5)
-        assert _shown(free.view(camera))[2, 2] == _number(free, "floor")
+        assert _shown(free.view(camera))[2, 2] == _number(free, "paper")
         radiance.append(free.picture(SKY, camera)[2, 2, :3])
     np.testing.assert_allclose(radiance, np.broadcast_to(radiance[0], (3, 3)), rtol=1e-5)
 
 
-@pytest.mark.parametrize(("target", "visible"), [((0, -1.4, 0), "floor"), ((0.0, 2.2, 0), None)])
+@pytest.mark.parametrize(("target", "visible"), [((0, -1.4, 0), "paper"), ((0.0, 2.2, 0), None)])
 def test_material_that_is_not_visible(free: TransportRelighter, target, visible):
     """A camera close to the floor that sees it alone, or looks over all: nothing is drawn of the others."""
     camera = jr.Camera((0.8, 1.0, 0.8), target, fov_y=10, width=6, height=5)
