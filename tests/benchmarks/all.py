@@ -13,6 +13,7 @@ PROGRAMS = (
     "kernels",
     "reference_images",
     "terms_curve",
+    "filtered_visibility",
     "factor_error",
     "pictures_by_terms",
     "shadow_error",
