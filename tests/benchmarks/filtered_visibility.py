@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tests.benchmarks.measuring import Report, shared
-from tests.benchmarks.terms_curve import Baked, Points
+from tests.benchmarks.terms_curve import Baked, Points, draw_points
 
 MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res3.ply"}
 SKIES = {
@@ -73,7 +73,6 @@ class Subset:
         """Pixels of the mesh, not of the floor, without repetition."""
         import jaxrelight as jr
         from jaxrelight.geometry.gbuffer import trace_gbuffer
-        from jaxrelight.geometry.receivers import vertex_receivers
         from jaxrelight.geometry.surfaces import join
         from jaxrelight.geometry.tracer import Tracer
 
@@ -81,23 +80,8 @@ class Subset:
         surfaces = join([part.mesh for part in scene.parts])
         tracer = Tracer(surfaces)
         gbuffer = trace_gbuffer(surfaces, tracer, scene.camera)
-        random = np.random.default_rng(seed)
-        chosen = np.sort(random.choice(np.flatnonzero((gbuffer.mesh == 0) & ~gbuffer.back), count, replace=False))
-        vertices, corners = np.unique(gbuffer.corners[chosen], return_inverse=True)
-        every = vertex_receivers(surfaces, np.zeros(len(scene.parts), int))
-        slots = every.slot_of[vertices]
-
-        def at_vertices(values):
-            return values.reshape(-1, 3)[slots]
-
-        return cls(
-            tracer=tracer,
-            pixels=Points(gbuffer.positions[chosen], gbuffer.normals[chosen], gbuffer.face_normals[chosen]),
-            omega_o=gbuffer.omega_o[chosen],
-            vertices=Points(at_vertices(every.positions), at_vertices(every.normals), at_vertices(every.face_normals)),
-            corners=corners.reshape(-1, 3),
-            weights=gbuffer.barycentric[chosen],
-        )
+        _, points = draw_points(surfaces, gbuffer, np.flatnonzero((gbuffer.mesh == 0) & ~gbuffer.back), count, seed)
+        return cls(tracer=tracer, **points)
 
 
 class Seen:

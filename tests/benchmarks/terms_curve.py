@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import pathlib
 import time
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,6 @@ class Subset:
         """Pixels of the material that the reference covers wholly, without repetition."""
         from jaxrelight import load_scene, read_image
         from jaxrelight.geometry.gbuffer import trace_gbuffer
-        from jaxrelight.geometry.receivers import vertex_receivers
         from jaxrelight.geometry.surfaces import join
         from jaxrelight.geometry.tracer import Tracer
 
@@ -83,25 +83,35 @@ class Subset:
         gbuffer = trace_gbuffer(surfaces, tracer, scene.camera)
         shown = np.array([part.material == MATERIAL for part in scene.parts])[gbuffer.mesh]
         whole = reference[gbuffer.covered][:, 3] > 0.999
-        chosen = np.sort(np.random.default_rng(seed).choice(np.flatnonzero(shown & whole), count, replace=False))
-        vertices, corners = np.unique(gbuffer.corners[chosen], return_inverse=True)
-        every = vertex_receivers(surfaces, np.zeros(len(scene.parts), int))
-        slots = every.slot_of[vertices]
-
-        def at_vertices(values):
-            return values.reshape(-1, 3)[slots]
-
+        chosen, points = draw_points(surfaces, gbuffer, np.flatnonzero(shown & whole), count, seed)
         return cls(
             scene=scene,
             tracer=tracer,
             brdf=scene.materials[MATERIAL],
-            pixels=Points(gbuffer.positions[chosen], gbuffer.normals[chosen], gbuffer.face_normals[chosen]),
-            omega_o=gbuffer.omega_o[chosen],
-            vertices=Points(at_vertices(every.positions), at_vertices(every.normals), at_vertices(every.face_normals)),
-            corners=corners.reshape(-1, 3),
-            weights=gbuffer.barycentric[chosen],
             reference=reference[gbuffer.covered][chosen, :3],
+            **points,
         )
+
+
+def draw_points(surfaces, gbuffer, candidates: np.ndarray, count: int, seed: int) -> tuple[np.ndarray, dict[str, Any]]:
+    """Some pixels of a G-buffer, without repetition, and the vertices of the faces they show, as `Subset` has them."""
+    from jaxrelight.geometry.receivers import vertex_receivers
+
+    chosen = np.sort(np.random.default_rng(seed).choice(candidates, count, replace=False))
+    vertices, corners = np.unique(gbuffer.corners[chosen], return_inverse=True)
+    every = vertex_receivers(surfaces, np.zeros(int(surfaces.mesh_of_vertex.max()) + 1, int))
+    slots = every.slot_of[vertices]
+
+    def at_vertices(values):
+        return values.reshape(-1, 3)[slots]
+
+    return chosen, {
+        "pixels": Points(gbuffer.positions[chosen], gbuffer.normals[chosen], gbuffer.face_normals[chosen]),
+        "omega_o": gbuffer.omega_o[chosen],
+        "vertices": Points(at_vertices(every.positions), at_vertices(every.normals), at_vertices(every.face_normals)),
+        "corners": corners.reshape(-1, 3),
+        "weights": gbuffer.barycentric[chosen],
+    }
 
 
 class Baked:
