@@ -2,6 +2,7 @@
 
 import gc
 import os
+import random
 import shutil
 import tempfile
 from typing import Any
@@ -62,6 +63,8 @@ def wrong_types():
 @pytest.fixture(autouse=True)
 def _same_configuration_afterwards():
     config: Any = jax.config
+    # Of a list beartype checks one item, which it draws: the same in every run of a test.
+    random.seed(0)
     before = config.jax_enable_x64, config.jax_numpy_rank_promotion
     yield
     assert (config.jax_enable_x64, config.jax_numpy_rank_promotion) == before

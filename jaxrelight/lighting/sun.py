@@ -25,7 +25,7 @@ _RECEIVER_BATCH = 1024
 
 def sun_terms(
     transport: PrecomputedTransport, texels: Int[Array, " n"], radiance: Float[Array, "n c"]
-) -> tuple[Float[Array, "v k c"], ...]:
+) -> tuple[Float[Array, "_ _ c"], ...]:
     """Light terms of every block under some texels alone, as uncompressed rows have them (Wang 2006 eq. 3).
 
     What bounces is not among them. Differentiable in the radiance; shadow rays are cast on the host, or by a callback

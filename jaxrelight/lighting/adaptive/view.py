@@ -56,7 +56,7 @@ class AdaptiveView(eqx.Module):
 
     surfaces: VisibleSurfaces
     probes: tuple[Probe, ...]
-    places: tuple[Int[Array, " p"], ...]
+    places: tuple[Int[Array, " _"], ...]
     pixel_angle: Float[Array, ""]
     factor: int = eqx.field(static=True)
     padded_shape: tuple[int, int] = eqx.field(static=True)
@@ -146,7 +146,7 @@ def _part_image(pixels: Sequence[SurfacePixels], places, shape: tuple[int, int])
 
 @functools.partial(jax.jit, static_argnames="shape")
 def scattered(
-    rows: Sequence[tuple[Int[Array, " p"], Float[Array, "p c"]]], shape: tuple[int, int]
+    rows: Sequence[tuple[Int[Array, " _"], Float[Array, "_ c"]]], shape: tuple[int, int]
 ) -> Float[Array, "h w c"]:
     """The image of what pixels have, whose numbers come with it; 0 elsewhere."""
     image = jnp.zeros((math.prod(shape), rows[0][1].shape[1]), rows[0][1].dtype)
