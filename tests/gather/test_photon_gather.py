@@ -26,7 +26,7 @@ def test_a_closed_room_is_its_series(tmp_path, bounces):
     relighter = opened(room(albedo), tmp_path, **PHOTONS | {"bounces": bounces})
     light = jnp.ones((1024, 3))
     more = np.asarray(relighter.add_bounces(light)) - light
-    wanted = sum(albedo**n for n in range(1, bounces))
+    wanted = np.sum([albedo**n for n in range(1, bounces)], axis=0)
     areas = np.asarray(relighter.precomputed.points.areas)
     np.testing.assert_allclose(areas @ more / areas.sum(), wanted, rtol=0.02)
     assert np.quantile(np.abs(more / wanted[None] - 1), 0.9) < 0.15
