@@ -41,6 +41,8 @@ from jaxrelight.operators.clustered import Clustered, clustered
 from jaxrelight.operators.clustering import cluster
 from jaxrelight.operators.contract import as_lineax
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
+from jaxrelight.transport.bake import directions_for
+from jaxrelight.transport.filtered_visibility import project_visibility
 from tests.compilations import compilations
 
 UP: Any = np.array([0.0, 0.6, 0.8], np.float32)
@@ -166,6 +168,14 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
         ),
         lambda seed: HaarFaces(4).encode(values(seed, 3, 96)),
         lambda seed: HaarFaces(4).decode(values(seed, 3, 96)),
+    ],
+    "transport/filtered_visibility": [
+        lambda seed: project_visibility(
+            (255 * values(seed, 16, 12)).astype(np.uint8),
+            np.tile(np.eye(3, dtype=np.float32), (16, 1, 1)),
+            directions_for(4),
+            4,
+        )
     ],
 }
 ELSEWHERE = {
