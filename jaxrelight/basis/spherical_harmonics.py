@@ -1,7 +1,7 @@
 """Real spherical harmonics as polynomials of a unit vector, and how lobes damp them.
 
 Functions on the sphere that vary slowly are few numbers, the same for every direction of looking: filtered by a lobe
-around p they are Σ_lm A_l c_lm Y_lm(p), A_l the lobe's own zonal coefficients (Ramamoorthi and Hanrahan 2001, eq. 7).
+around p they are Σ_lm A_l c_lm Y_lm(p), A_l the lobe's own zonal coefficients (Ramamoorthi and Hanrahan 2001).
 """
 
 import math
@@ -21,7 +21,7 @@ def harmonics(direction: Float[Array, "*p 3"], order: int) -> Float[Array, "*p h
 
     z is the axis; sines of the longitude have m < 0, cosines m > 0, without the sign (−1)^m. Polynomials, so that
     derivatives are finite everywhere, poles included. The recurrence in l is the normalised one (Holmes and
-    Featherstone 2002, eq. 11).
+    Featherstone 2002).
 
     Args:
         direction: unit vectors.
@@ -65,8 +65,8 @@ def lobe_bands(exponent: Float[Array, "..."], order: int) -> Float[Array, "... b
 def by_function(bands: Float[Array, "... b"]) -> Float[Array, "... h"]:
     """A number for each order as one for each function."""
     order = bands.shape[-1] - 1
-    return jnp.repeat(bands, jnp.asarray([2 * degree + 1 for degree in range(order + 1)]), axis=-1,
-                      total_repeat_length=count(order))  # fmt: skip
+    functions = [degree for degree in range(order + 1) for _ in range(2 * degree + 1)]
+    return jnp.stack([bands[..., degree] for degree in functions], axis=-1)
 
 
 @jax.jit
