@@ -25,7 +25,7 @@ from jaxrelight.numerics import safe
 CHUNK = 2048
 # Samples that say nothing of a texel: lit or seen at a grazing angle, or darker than this share of what Lambert's law
 # predicts from the texel's median, so in a shadow that something casts.
-LEAST_COSINE, SHADOW = 0.08, 0.1
+MIN_COSINE, SHADOW = 0.08, 0.1
 # Texels that the lobes of the whole surface are fitted to, samples that stand for them in a texel's own fit, and the
 # share of its weight that these have: chosen by images held out of the DiLiGenT ball.
 _POOL, _PRIOR, SHARE = 256, 32, 0.1
@@ -132,7 +132,7 @@ def prepared(
     frames = jax.vmap(tangent_frame)(normals)
     omega_i, omega_o = (jnp.einsum("pxy,ny->pnx", frames, side) for side in (lights, views))
     cosine = omega_i[..., 2]
-    seen = usable & (cosine > LEAST_COSINE) & (omega_o[..., 2] > LEAST_COSINE)
+    seen = usable & (cosine > MIN_COSINE) & (omega_o[..., 2] > MIN_COSINE)
     grey = jnp.mean(images, axis=-1) / jnp.where(seen, cosine, 1)
     median = jnp.nanmedian(jnp.where(seen, grey, jnp.nan), axis=1, keepdims=True)
     seen = seen & (grey >= SHADOW * median)
@@ -228,7 +228,7 @@ def _with_common(omega_i, omega_o, values, weight, common: LobeSum, share):
     lights = jnp.einsum("pxy,nx->pny", frames, jnp.asarray(pattern, eye.dtype))
     eyes = jnp.broadcast_to(eye[:, None], lights.shape)
     lobes = jax.vmap(jax.vmap(common.evaluate))(lights, eyes)
-    prior = jnp.where(lights[..., 2] > LEAST_COSINE, lights[..., 2] ** 2, 0)
+    prior = jnp.where(lights[..., 2] > MIN_COSINE, lights[..., 2] ** 2, 0)
     total = jnp.sum(prior, axis=1, keepdims=True)
     prior = prior * share * jnp.sum(weight, axis=1, keepdims=True) / jnp.where(total > 0, total, 1)
     pairs = (omega_i, lights), (omega_o, eyes), (values, _median(values, weight)[:, None] + lobes), (weight, prior)

@@ -27,7 +27,7 @@ Arrays = Array | np.ndarray
 # Items solved together: a slow one holds up as many, and their samples fit a processor's cache.
 BLOCK = 64
 # Lobes with peaks below this share of the samples' root mean square are left by rounding, which differs by processor.
-_LEAST_PEAK = 1e-4
+_MIN_RELATIVE_PEAK = 1e-4
 
 
 class Verdict(enum.IntEnum):
@@ -291,7 +291,7 @@ def _deviations(
 def _judge(samples: Samples, group_fits: _Found, relative: Float[Array, ""], options: Options) -> Int[Array, ""]:
     """The first verdict that applies."""
     g, c, m = group_fits.factors.shape
-    active = jnp.any(group_fits.factors[..., 1:] > _LEAST_PEAK, axis=1)  # [g, l]
+    active = jnp.any(group_fits.factors[..., 1:] > _MIN_RELATIVE_PEAK, axis=1)  # [g, l]
     uncertain = (group_fits.exponent_deviation > 1) | (group_fits.C_deviation > 1)
     ends = (group_fits.exponent < 2 * EXPONENTS[0]) | (group_fits.exponent > EXPONENTS[1] / 2)
     unknowns = g * (m - 1) * (3 if options.anisotropic else 2) + g * c * m

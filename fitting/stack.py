@@ -21,7 +21,7 @@ _AXIS = np.array([0.0, 0.0, 1.0])
 # What normals are called.
 _NORMALS = "normals", "normal_gt"
 # Bytes of an array of an archive.
-_LARGEST = 2**31
+_MAX_ARRAY_BYTES = 2**31
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,7 +150,7 @@ def _directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndar
 
 def _from_npz(path: pathlib.Path) -> Stack:
     required, known = ("images", "light_directions"), ("light_intensities", "view_directions", "mask", *_NORMALS)
-    arrays = read_npz(path, "a stack of images", (*required, *known), _LARGEST)
+    arrays = read_npz(path, "a stack of images", (*required, *known), _MAX_ARRAY_BYTES)
     for key in required:
         if key not in arrays:
             raise InputError(f"{path}: '{key}' is missing; a stack has {' and '.join(required)}")

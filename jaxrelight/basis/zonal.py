@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxrelight.basis import latlong
 
 # A kernel is followed down to this share of its peak.
-_LEAST = 1e-6
+_MIN_KERNEL_WEIGHT = 1e-6
 
 
 def zonal_means(pixels: Float[Array, "h w c"], exponent: float) -> Float[Array, "h w c"]:
@@ -32,7 +32,7 @@ def zonal_means(pixels: Float[Array, "h w c"], exponent: float) -> Float[Array, 
 
 def _reach(exponent: float, height: int) -> int:
     """Rows to either side that the kernel is followed: one of few numbers, each of which is compiled."""
-    angle = math.acos(_LEAST ** (1 / exponent)) if exponent > 0 else math.pi / 2
+    angle = math.acos(_MIN_KERNEL_WEIGHT ** (1 / exponent)) if exponent > 0 else math.pi / 2
     rows = math.ceil(angle / math.pi * height) + 1
     return height - 1 if 4 * rows >= height else 2 ** math.ceil(math.log2(rows))
 

@@ -14,7 +14,7 @@ from jaxrelight.brdf import bilinear_warp
 from jaxrelight.brdf.contract import Brdf
 
 # Directions nearer to the horizon than this count as this where f is divided by the cosine.
-_LEAST_COSINE = 1e-4
+_MIN_COSINE = 1e-4
 
 
 class Adaptive(Brdf):
@@ -71,7 +71,7 @@ class Adaptive(Brdf):
         first, one = jnp.zeros(1, jnp.int32), jnp.ones(1, weights.dtype)
         normals = bilinear_warp.look_up(self.normals[None], x, y, first, one)
         area = bilinear_warp.look_up(self.area[None], *_square(theta_o, phi_o), first, one)
-        return samples * normals / (4 * area * jnp.maximum(omega_i[2], _LEAST_COSINE))
+        return samples * normals / (4 * area * jnp.maximum(omega_i[2], _MIN_COSINE))
 
     def _into_span(self, omega_i, omega_o):
         """Both directions mirrored so that ω_o lies in the span that was measured: φ in −π … 0, or −π … −π/2."""

@@ -15,7 +15,7 @@ from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Number, Numbers, as_numbers, float_dtype, holds, module_of
 
 # Directions nearer to the horizon than this count as this in denominators: there the model grows without bound.
-_LEAST_COSINE = 1e-4
+_MIN_COSINE = 1e-4
 
 
 class AshikhminShirley(Brdf):
@@ -45,7 +45,7 @@ class AshikhminShirley(Brdf):
         # Both directions are unit vectors, so that cosθ_d is half of the sum's length.
         cosine = length / 2
         fresnel = self.ks + (1 - self.ks) * _fifth(jnp.maximum(1 - cosine, 0))
-        below = jnp.maximum(cosine, _LEAST_COSINE) * jnp.maximum(jnp.maximum(omega_i[2], omega_o[2]), _LEAST_COSINE)
+        below = jnp.maximum(cosine, _MIN_COSINE) * jnp.maximum(jnp.maximum(omega_i[2], omega_o[2]), _MIN_COSINE)
         scale = jnp.sqrt((self.nu + 1) * (self.nv + 1)) / (8 * math.pi)
         specular = scale * jnp.exp(exponent_log) / below * fresnel
         rise_i, rise_o = (1 - _fifth(1 - jnp.maximum(omega[2], 0) / 2) for omega in (omega_i, omega_o))

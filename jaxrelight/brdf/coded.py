@@ -17,13 +17,13 @@ from jaxrelight.numerics.arrays import as_array
 Storage = Literal["float", "half", "8bit"]
 Planes = Mapping[str, Float[np.ndarray, "h w"]]
 
-_LARGEST_HALF = 65504.0
+_MAX_HALF = 65504.0
 # Exponents in 8 bits lie evenly by log(n + 1). The paper's 255·√(n/255) ends at 255, and is coarser below 12
 # (`tests/benchmarks/sbrdf_storage.py`).
-_LARGEST_EXPONENT, _LOGARITHM = 1e5, np.log1p(1e5)
+_MAX_EXPONENT, _LOGARITHM = 1e5, np.log1p(1e5)
 # −log|C|ⁿ in 13 bits: even steps of its logarithm beyond the first number; the last step is C = 0.
-_LOST, _MOST_LOST, _NOTHING = 0.5, 7e4, 2**13 - 1
-_STEP = np.log1p(_MOST_LOST / _LOST) / (_NOTHING - 1)
+_LOST, _MAX_LOST, _NOTHING = 0.5, 7e4, 2**13 - 1
+_STEP = np.log1p(_MAX_LOST / _LOST) / (_NOTHING - 1)
 
 
 def encode(lobes: SpatialLobes, storage: Storage) -> dict[str, np.ndarray]:
@@ -52,7 +52,7 @@ def encode(lobes: SpatialLobes, storage: Storage) -> dict[str, np.ndarray]:
         share = maps["scale"] / (maps["exponent"] + 2)[..., None]
         _check("scale/(n + 2)", share, storage)
         _check("diffuse", maps["diffuse"], storage)
-        held = np.minimum(maps["exponent"], _LARGEST_HALF if storage == "half" else _LARGEST_EXPONENT)
+        held = np.minimum(maps["exponent"], _MAX_HALF if storage == "half" else _MAX_EXPONENT)
         maps |= {"exponent": held, "scale": share * (held + 2)[..., None]}
     planes = {}
     for j in range(lobes.lobes):
@@ -121,7 +121,7 @@ def _as_half(C, exponent, scale) -> dict[str, np.ndarray]:
     with np.errstate(divide="ignore"):
         power = 1 - np.maximum(exponent, 1)[..., None] * np.log(np.abs(C))
     # Beyond the largest half float a component adds nothing.
-    power = np.where(power > _LARGEST_HALF, np.inf, power)
+    power = np.where(power > _MAX_HALF, np.inf, power)
     share = scale / (exponent + 2)[..., None]
     return _spread("power.", "XYZ", np.copysign(power, C)) | {"exponent": exponent} | _spread("share.", "RGB", share)
 
@@ -160,7 +160,7 @@ def _packed(C: Float[np.ndarray, "*p 3"], exponent: Float[np.ndarray, "*p"]) -> 
     first = np.argmax(length, axis=-1)
     with np.errstate(divide="ignore"):
         lost = -np.maximum(exponent, 1)[..., None] * np.log(length)
-    step = np.where(lost < _MOST_LOST, np.rint(np.log1p(np.maximum(lost, 0) / _LOST) / _STEP), _NOTHING).astype(int)
+    step = np.where(lost < _MAX_LOST, np.rint(np.log1p(np.maximum(lost, 0) / _LOST) / _STEP), _NOTHING).astype(int)
 
     def after(values: np.ndarray, places: int) -> np.ndarray:
         return np.take_along_axis(values, ((first + places) % 3)[..., None], axis=-1)[..., 0]
@@ -206,8 +206,8 @@ def _gathered(planes: Planes, prefix: str, names: str) -> Float[np.ndarray, "h w
 
 
 def _check(name: str, values: np.ndarray, storage: Storage):
-    if values.size and values.max() > _LARGEST_HALF:
+    if values.size and values.max() > _MAX_HALF:
         raise InputError(
-            f"{name} reaches {values.max():,.6g}, and {storage} storage holds {_LARGEST_HALF:,.0f} at most; "
+            f"{name} reaches {values.max():,.6g}, and {storage} storage holds {_MAX_HALF:,.0f} at most; "
             "use float storage"
         )

@@ -25,7 +25,7 @@ Form = Literal["svd", "symmetric", "normalised", "nonnegative"]
 COSINE = (0.5, 0.5)
 
 # Directions of which all pairs with others are evaluated at once; bytes of a matrix in double precision, and of any.
-_ROWS, _DOUBLE, _LARGEST = 256, 2**28, 3 * 2**29
+_ROWS, _DOUBLE, _MAX_MATRIX_BYTES = 256, 2**28, 3 * 2**29
 
 
 @overload
@@ -123,7 +123,7 @@ class Samples:
     def __init__(self, brdf: Brdf, parametrisation: Parametrisation, side: int, cosine: tuple[float, float]):
         omega, self.inside = parametrisation.directions(side)
         count = int(self.inside.sum())
-        if count**2 * 4 > _LARGEST:
+        if count**2 * 4 > _MAX_MATRIX_BYTES:
             raise InputError(f"factors of resolution {side} need {count**2 * 4 / 2**30:.1f} GiB; ask for at most 128")
         self.brdf, self.parametrisation, self.side, self.cosine = brdf, parametrisation, side, cosine
         self.dtype = jax.dtypes.canonicalize_dtype(float)

@@ -24,7 +24,7 @@ _ELEVATIONS, _AZIMUTHS = 16, 16
 # steps and cells 240 samples of measured paints are off by 1 dB more; with twice the others by 0.2 dB less.
 _STEPS, _AROUND, _FINE, _FINE_AROUND = 512, 64, 512, 64
 # This part of the shares goes to all cells alike, so that estimates have no bias where the BRDF was thought to be 0.
-_LEAST = 0.01
+_EVEN_SHARE = 0.01
 
 
 class HalfVectors(eqx.Module):
@@ -117,7 +117,7 @@ def half_vectors(brdf: Brdf) -> HalfVectors:
 def _equal_shares(mass: Float[np.ndarray, "f g"]) -> tuple[np.ndarray, np.ndarray]:
     """Functions whose equal steps hold the same."""
     even = 1 / mass.size
-    mass = (1 - _LEAST) * mass / mass.sum() + _LEAST * even if mass.sum() > 0 else np.full(mass.shape, even)
+    mass = (1 - _EVEN_SHARE) * mass / mass.sum() + _EVEN_SHARE * even if mass.sum() > 0 else np.full(mass.shape, even)
     # Above each edge along θ_h, of every part around.
     above = np.concatenate([np.zeros((1, mass.shape[1])), np.cumsum(mass, axis=0)])
     edges = np.linspace(0, 1, len(mass) + 1)

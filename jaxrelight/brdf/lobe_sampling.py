@@ -12,7 +12,7 @@ from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.numerics import safe
 
 # Share of samples that the cosine takes at least, so that estimates have no bias where lobes are 0.
-_LEAST_COSINE_SHARE = 0.05
+_MIN_COSINE_SHARE = 0.05
 
 
 class LobeSampler(eqx.Module):
@@ -90,7 +90,7 @@ def _mixture(brdf: LobeSum, omega_o: Float[Array, "3"]) -> tuple[Array, Array, A
     total = jnp.sum(shares)
     even = jnp.zeros_like(shares).at[0].set(1)
     shares = jnp.where(total > 0, shares / jnp.where(total > 0, total, 1), even)
-    shares = (1 - _LEAST_COSINE_SHARE) * shares + _LEAST_COSINE_SHARE * even
+    shares = (1 - _MIN_COSINE_SHARE) * shares + _MIN_COSINE_SHARE * even
     up = jnp.asarray([[0, 0, 1]], peaks.dtype)
     frames = tangent_frame(jnp.concatenate([up, peaks.reshape(-1, 3)]))
     exponents = jnp.concatenate([jnp.ones(1, peaks.dtype), brdf.exponent.ravel()])

@@ -19,7 +19,7 @@ from jaxrelight.numerics.numbers import float_dtype
 # A normal map, or none, for each mesh.
 NormalMaps = Sequence[Texture | None]
 # Between the eye and a normal that a map would turn away from it.
-_LEAST_COSINE = 0.05
+_MIN_COSINE = 0.05
 
 
 def apply_normal_map(
@@ -74,7 +74,7 @@ def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) ->
                 side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps, gbuffer.footprint[mine]
             )
             omega_o = gbuffer.omega_o[mine]
-            seen = np.minimum(_LEAST_COSINE, np.sum(normals[mine] * omega_o, axis=1, keepdims=True))
+            seen = np.minimum(_MIN_COSINE, np.sum(normals[mine] * omega_o, axis=1, keepdims=True))
             turned += np.maximum(seen - np.sum(turned * omega_o, axis=1, keepdims=True), 0) * omega_o
             normals[mine] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     return dataclasses.replace(gbuffer, normals=normals)

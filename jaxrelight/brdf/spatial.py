@@ -13,7 +13,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.texture import Footprint, Texture
 
 # The weight of a lobe that reflects nothing, so that it has a direction and an exponent all the same.
-_LEAST_WEIGHT = 1e-9
+_MIN_WEIGHT = 1e-9
 
 Minification = Literal["levels", "averaged", "none"]
 
@@ -86,7 +86,7 @@ class SpatialLobes(eqx.Module):
 
 def _side_by_side(maps: SpatialLobes) -> Float[Array, "h w p"]:
     share = maps.scale / (maps.exponent + 2)[..., None]
-    weight = jnp.abs(jnp.mean(share, axis=-1)) + _LEAST_WEIGHT
+    weight = jnp.abs(jnp.mean(share, axis=-1)) + _MIN_WEIGHT
     logarithm = weight * jnp.log(jnp.maximum(maps.exponent, 1e-6))
     parts = [maps.diffuse, weight[..., None] * maps.C, weight, logarithm, share, maps.axis]
     return jnp.concatenate([part.reshape(*maps.shape, -1) for part in parts], axis=-1)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.brdf.contract import Brdf
 
 # Below this squared length a projected direction has no azimuth; the one along x is taken.
-_LEAST_SQUARE = 1e-18
+_MIN_SQUARED_LENGTH = 1e-18
 
 
 class HalfDifference(NamedTuple):
@@ -60,7 +60,7 @@ def _length(x, y, z):
 def _unit(y, x):
     """(sine, cosine) of an azimuth."""
     square = x * x + y * y
-    defined = square > _LEAST_SQUARE
+    defined = square > _MIN_SQUARED_LENGTH
     length = jnp.sqrt(jnp.where(defined, square, 1))
     return jnp.where(defined, y / length, 0), jnp.where(defined, x / length, 1)
 

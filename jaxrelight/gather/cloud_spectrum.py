@@ -14,7 +14,7 @@ _LAMPS = 64
 # The cosine of the cutoff of every other lamp, which is a spot.
 _CUTOFF = np.cos(np.radians(25.0))
 # Scales that no lamp has light of are worth this share of the largest.
-_LEAST = 1e-4
+_MIN_SPECTRUM = 1e-4
 
 
 def cloud_spectrum(cloud: GatherCloud, surfaces: Surfaces, tracer: Tracer, seed: int = 0) -> Float[np.ndarray, " d"]:
@@ -47,4 +47,4 @@ def cloud_spectrum(cloud: GatherCloud, surfaces: Surfaces, tracer: Tracer, seed:
             squares += np.asarray(basis.encode(as_array(light / np.sqrt(energy), jnp.float32)), float) ** 2
     of_level = np.bincount(level, squares) / np.bincount(level)
     spectrum = np.sqrt(of_level)[level]
-    return np.maximum(spectrum / spectrum.max(), _LEAST) if spectrum.max() > 0 else np.ones_like(spectrum)
+    return np.maximum(spectrum / spectrum.max(), _MIN_SPECTRUM) if spectrum.max() > 0 else np.ones_like(spectrum)

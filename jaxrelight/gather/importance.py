@@ -12,7 +12,7 @@ from jaxrelight.geometry.tracer import Tracer
 # The number of nearest particles that tell their density.
 _NEAREST = 64
 # Places that no particle reaches are worth this share of the mean.
-_LEAST = 0.05
+_MIN_RELATIVE_DENSITY = 0.05
 
 
 class Importance:
@@ -54,4 +54,4 @@ class Importance:
         front = np.einsum("pkx,px->pk", self._normals[nearest], normals) > 0
         density = np.sum(self._power[nearest] * front, axis=1) / np.maximum(distance[:, -1], 1e-4) ** 2
         mean = np.sum(density * areas) / areas.sum()
-        return np.maximum(density / mean, _LEAST) if mean > 0 else np.ones(len(positions))
+        return np.maximum(density / mean, _MIN_RELATIVE_DENSITY) if mean > 0 else np.ones(len(positions))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from jaxrelight.errors import InputError
 
-MOST_PIXELS = 2**27  # as many as are read from a picture; more is a slip of the pen
+MAX_PIXELS = 2**27  # as many as are read from a picture; more is a slip of the pen
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,9 +43,9 @@ class Camera:
             raise InputError(f"the camera's fov_y is {self.fov_y}; it must lie between 0 and 180 degrees")
         if self.width < 1 or self.height < 1:
             raise InputError(f"the camera's image is {self.width} × {self.height} pixels; it needs at least one")
-        if self.width * self.height > MOST_PIXELS:
+        if self.width * self.height > MAX_PIXELS:
             raise InputError(
-                f"the camera's image is {self.width:,} × {self.height:,} pixels; it may have at most {MOST_PIXELS:,}"
+                f"the camera's image is {self.width:,} × {self.height:,} pixels; it may have at most {MAX_PIXELS:,}"
             )
         forward = np.subtract(self.target, self.origin)
         if np.linalg.norm(np.cross(forward, self.up)) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(self.up):

@@ -12,7 +12,7 @@ from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.threads import in_parts
 
 # The cosine of a face seen nearly edge on, which covers no more of a texture than this says.
-_LEAST_COSINE = 1e-3
+_MIN_COSINE = 1e-3
 # Pixels in each part.
 _PIXEL_CHUNK = 16384
 
@@ -105,7 +105,7 @@ def trace_points(
     if surfaces.has_uv:
         distance = np.linalg.norm(positions - (origin if origin.ndim == 1 else origin[covered]), axis=1)
         cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))
-        seen = solid_angles.reshape(-1)[covered] * distance**2 / np.maximum(cosine, _LEAST_COSINE)
+        seen = solid_angles.reshape(-1)[covered] * distance**2 / np.maximum(cosine, _MIN_COSINE)
         footprint, uv = seen * surfaces.uv_densities(face), interpolated(surfaces.uv)
     if surfaces.uv_tangents.any():
         tangents = interpolated(surfaces.tangents)

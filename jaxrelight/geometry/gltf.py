@@ -15,7 +15,7 @@ from jaxrelight.geometry.raw_mesh import FilePart, RawMesh
 
 _NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_MOST_CORNERS = 2**28  # instances of one mesh can ask for more than any memory
+_MAX_CORNERS = 2**28  # instances of one mesh can ask for more than any memory
 _KNOWN = ("KHR_materials_", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_lights_punctual")
 
 
@@ -90,7 +90,7 @@ class _Reader:
                 if arrays is None:
                     continue
                 corners += len(arrays[0]) + 3 * len(arrays[1])
-                if corners > _MOST_CORNERS:
+                if corners > _MAX_CORNERS:
                     raise InputError("has more than 268 million vertices and corners; export less of it")
                 material = primitive.get("material", -1)
                 parts.setdefault(material if 0 <= material < count else -1, []).append(_moved(matrix, *arrays))

@@ -14,7 +14,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.file_materials import FileMaterial
 from jaxrelight.geometry.mesh_files import READERS
 from jaxrelight.geometry.raw_mesh import RawMesh
-from jaxrelight.geometry.repair import FACES_INWARD, LARGEST_COORDINATE, Repaired, area_vectors, repaired, unit
+from jaxrelight.geometry.repair import FACES_INWARD, MAX_COORDINATE, Repaired, area_vectors, repaired, unit
 
 _UNREAD = "string or file could not be read to its end"  # numpy warns so, then returns what it had
 _FARTHEST_UV = 1e6  # beyond, float32 does not tell texels apart
@@ -180,7 +180,7 @@ def normalized(mesh: Mesh, size: float, frame: Float[np.ndarray, "2 3"] | None =
     Raises:
         InputError: `size` is not a positive number, or the mesh is a single point.
     """
-    if not (isinstance(size, int | float) and 0 < size < LARGEST_COORDINATE):
+    if not (isinstance(size, int | float) and 0 < size < MAX_COORDINATE):
         raise InputError(f"normalize is {size!r}; give the longest side as a positive number of metres")
     low, high = bounds(mesh) if frame is None else frame
     longest = (high - low).max()
@@ -211,8 +211,8 @@ def transformed(mesh: Mesh, matrix: ArrayLike) -> Mesh:
         raise InputError("transform is singular, it flattens the mesh; give three independent axes")
     with np.errstate(over="ignore", invalid="ignore"):
         vertices = mesh.vertices @ linear.T + transform[:3, 3]
-    if not (np.abs(vertices) <= LARGEST_COORDINATE).all():
-        raise InputError(f"transform moves vertices beyond {LARGEST_COORDINATE:g} metres; scale it down")
+    if not (np.abs(vertices) <= MAX_COORDINATE).all():
+        raise InputError(f"transform moves vertices beyond {MAX_COORDINATE:g} metres; scale it down")
     normals = unit(mesh.normals @ np.linalg.inv(linear / largest), np.array([0.0, 1.0, 0.0]))
     mirrors = np.linalg.det(linear / largest) < 0
     faces = np.ascontiguousarray(mesh.faces[:, ::-1]) if mirrors else mesh.faces

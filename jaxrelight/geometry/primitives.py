@@ -9,10 +9,10 @@ from jaxtyping import Int
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
-from jaxrelight.geometry.repair import LARGEST_COORDINATE
+from jaxrelight.geometry.repair import MAX_COORDINATE
 from jaxrelight.numerics.numbers import Number
 
-MOST_QUADS = 2**24  # more is a slip of the pen: 800 MB a plane
+MAX_QUADS = 2**24  # more is a slip of the pen: 800 MB a plane
 
 
 def plane(
@@ -106,7 +106,7 @@ def _lengths(shape: str, size: Sequence[Number] | np.ndarray, count: int) -> lis
         lengths = [float(length) for length in size]
     except (TypeError, ValueError):
         lengths = []
-    if len(lengths) != count or not all(0 < length <= LARGEST_COORDINATE for length in lengths):
+    if len(lengths) != count or not all(0 < length <= MAX_COORDINATE for length in lengths):
         wanted = "a positive number" if count == 1 else f"{count} positive numbers"
         raise InputError(f"{shape}: size {size!r} is not {wanted} of metres")
     return lengths
@@ -123,6 +123,6 @@ def _resolution(
     if len(quads) != count or min(quads) < 1 or any(isinstance(number, bool) for number in counts):
         wanted = "a whole number" if count == 1 else f"a whole number, or {count} of them,"
         raise InputError(f"{shape}: resolution {resolution!r} is not {wanted} from 1")
-    if sides * math.prod(quads * (2 if count == 1 else 1)) > MOST_QUADS:
-        raise InputError(f"{shape}: resolution {resolution!r} makes more than {MOST_QUADS:,} quads; give a lower one")
+    if sides * math.prod(quads * (2 if count == 1 else 1)) > MAX_QUADS:
+        raise InputError(f"{shape}: resolution {resolution!r} makes more than {MAX_QUADS:,} quads; give a lower one")
     return quads

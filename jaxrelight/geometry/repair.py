@@ -10,7 +10,7 @@ from scipy.sparse import csgraph
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.raw_mesh import RawMesh
 
-LARGEST_COORDINATE = 1e30  # float32 ends at 3e38, and areas square what they are given
+MAX_COORDINATE = 1e30  # float32 ends at 3e38, and areas square what they are given
 FACES_INWARD = "closed mesh faces inward: surfaces are one-sided, so it will look black"
 FLAT = 1e-12  # a triangle lower than this part of its longest side is no surface
 ROUNDING = 1e-15  # nor is one lower than what float64 resolves at its place
@@ -54,7 +54,7 @@ def repaired(raw: RawMesh) -> Repaired:
 
     faces = drop("index out of range", ((faces >= 0) & (faces < len(vertices))).min(axis=1))
     referenced = np.unique(faces)
-    sound = np.less_equal(np.abs(vertices).max(axis=1, initial=0), LARGEST_COORDINATE)  # false for NaN
+    sound = np.less_equal(np.abs(vertices).max(axis=1, initial=0), MAX_COORDINATE)  # false for NaN
     faces = drop("NaN, infinite or beyond 1e30", sound[faces].min(axis=1))
     faces = drop("zero area", _has_area(vertices[faces]))
     place = _unique_rows(vertices)[1]

@@ -9,7 +9,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.repair import area_vectors, unit
 
-_MOST_FACES = 20_000_000
+_MAX_FACES = 20_000_000
 
 
 def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
@@ -26,7 +26,7 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
         raise InputError(f"max_edge is {max_edge!r}; give a positive number of metres")
     # No face whose edges are that short has more than an equilateral one's area.
     area = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1).sum() / 2
-    if area > _MOST_FACES * max_edge**2 * 3**0.5 / 4:
+    if area > _MAX_FACES * max_edge**2 * 3**0.5 / 4:
         raise _too_many(max_edge)
     uv = np.zeros((len(mesh.vertices), 0)) if mesh.uv is None else mesh.uv
     # One row a vertex, so that all that a vertex has is interpolated alike: position, normal, texture coordinates.
@@ -41,7 +41,7 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
         middle[long] = len(corners) + np.arange(long.sum())
         corners = np.concatenate([corners, ends[long].mean(axis=1)])
         faces = _split(faces, middle[edge_of_side], corners[:, :3])
-        if len(faces) > _MOST_FACES:
+        if len(faces) > _MAX_FACES:
             raise _too_many(max_edge)
     return dataclasses.replace(
         mesh,
@@ -53,7 +53,7 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
 
 
 def _too_many(max_edge: float) -> InputError:
-    return InputError(f"max_edge {max_edge:g} gives more than {_MOST_FACES:,} faces; choose a larger one")
+    return InputError(f"max_edge {max_edge:g} gives more than {_MAX_FACES:,} faces; choose a larger one")
 
 
 def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:

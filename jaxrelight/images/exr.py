@@ -27,7 +27,7 @@ _REQUIRED = {  # attributes that say what the pixels are, as name and type
     "lineOrder\0lineOrder",
 }
 _LINES = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}  # in a chunk, by compression
-_MOST_HEADER = 2**24
+_MAX_HEADER = 2**24
 _QUIET = threading.Lock()
 
 
@@ -55,7 +55,7 @@ def read_exr(path: Path, max_pixels: int) -> np.ndarray:
         if file.read(4) != _MAGIC:
             raise InputError(f"{path}: not an OpenEXR file although it is named so; export it again as EXR")
         file.seek(0)
-        _check_table(path, file.read(_MOST_HEADER), os.fstat(file.fileno()).st_size)
+        _check_table(path, file.read(_MAX_HEADER), os.fstat(file.fileno()).st_size)
     headers = [header for header, _ in _load(path, header_only=True)]
     for header in headers:
         _check_header(path, header, max_pixels)
@@ -108,7 +108,7 @@ def read_channels(path: Path, max_pixels: int) -> list[dict[str, np.ndarray]]:
         if file.read(4) != _MAGIC:
             raise InputError(f"{path}: not an OpenEXR file although it is named so; write it again")
         file.seek(0)
-        _check_table(path, file.read(_MOST_HEADER), os.fstat(file.fileno()).st_size)
+        _check_table(path, file.read(_MAX_HEADER), os.fstat(file.fileno()).st_size)
     headers = [header for header, _ in _load(path, header_only=True)]
     for header in headers:
         _check_header(path, header, max_pixels)
@@ -234,7 +234,7 @@ def _check_table(path: Path, head: bytes, file_size: int) -> None:
         first = min(struct.unpack_from(f"<{count}Q", head, at))
         (beyond,) = struct.unpack_from("<Q", head, at + 8 * count)
     except (ValueError, IndexError, KeyError, struct.error):
-        if len(head) == _MOST_HEADER:
+        if len(head) == _MAX_HEADER:
             return  # too long to look through; the library reads it
         raise InputError(f"{path}: damaged or cut-short OpenEXR header; export or copy it again") from None
     if first >= at + 8 * count + 8 and first < beyond < file_size:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 # Numbers that a vector has at most; longer ones are arrays.
 _VECTOR = 4
 # exp() of more overflows float32; a lobe that would is held at this logarithm instead.
-_LARGEST_LOG = 80.0
+_MAX_LOG = 80.0
 
 
 def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -21,7 +21,7 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Arr
     positive = base > 0
     smallest = float(jnp.finfo(jnp.result_type(base, jnp.float32)).tiny) ** 0.75
     logarithm = exponent * jnp.log(jnp.where(positive, jnp.maximum(base, smallest), 1))
-    return jnp.where(positive, jnp.exp(jnp.minimum(logarithm, _LARGEST_LOG)), 0)
+    return jnp.where(positive, jnp.exp(jnp.minimum(logarithm, _MAX_LOG)), 0)
 
 
 def norm(vector: Float[Array, "... n"]) -> Float[Array, "..."]:

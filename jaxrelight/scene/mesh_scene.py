@@ -21,7 +21,7 @@ _EYE = np.array([0.42, 0.38, 1.0])
 _FOV_Y = 34.0
 _MARGIN = 1.15
 # A few backs are seen through small holes; more are walls that face inwards, or cards.
-_MOST_BEHIND = 0.02
+_MAX_BACKFACE_SHARE = 0.02
 _FLOOR, _FLOOR_QUADS = 5.0, 96
 
 
@@ -53,7 +53,7 @@ def scene_of_mesh(path: str | pathlib.Path) -> Scene:
     materials |= {"floor": lobes.lambert([0.46, 0.45, 0.43]), "plaster": lobes.lambert([0.70, 0.62, 0.52])}
     camera = _framing(np.concatenate([part.mesh.vertices for part in scaled]))
     behind = _seen_from_behind([part.mesh for part in parts], camera)
-    if behind > _MOST_BEHIND:
+    if behind > _MAX_BACKFACE_SHARE:
         parts = [dataclasses.replace(part, mesh=meshes.with_back(part.mesh)) for part in parts]
         notes.append(f"{path.name}: {behind:.0%} of what is seen are backs of faces; taken as two-sided")
     parts.append(Part(primitives.plane((_FLOOR, _FLOOR), _FLOOR_QUADS), "floor", "floor"))

@@ -22,7 +22,7 @@ from jaxrelight.transport.bake import Directions, unpack
 
 # The order that is kept by default: 81 numbers a receiver. Narrower lobes are blocked as wider ones are.
 ORDER = 8
-_LARGEST_CODE = 127
+_MAX_CODE = 127
 
 
 @functools.partial(jax.jit, static_argnames="order")
@@ -96,7 +96,7 @@ def coded(coefficients: Float[np.ndarray, "r h"]) -> FilteredVisibility:
     if count(order) != coefficients.shape[-1]:
         raise ValueError(f"harmonics come in squares, not by {coefficients.shape[-1]}")
     bands = [np.abs(coefficients[:, degree**2 : (degree + 1) ** 2]).max(initial=0.0) for degree in range(order + 1)]
-    scale = np.maximum(np.asarray(bands, np.float32) / _LARGEST_CODE, np.finfo(np.float32).tiny)
+    scale = np.maximum(np.asarray(bands, np.float32) / _MAX_CODE, np.finfo(np.float32).tiny)
     codes = np.rint(coefficients / np.repeat(scale, [2 * degree + 1 for degree in range(order + 1)]))
     return FilteredVisibility(*jax.device_put((codes.astype(np.int8), scale)))
 

@@ -66,7 +66,7 @@ CASES: dict[str, Callable[[], Operator]] = {
 }
 
 # Those for several processes; the first joins results outside of any program that the caller compiles.
-TOGETHER = "stacked", "clusters in 8 bits, grey"
+MULTIPROCESS_CASES = "stacked", "clusters in 8 bits, grey"
 
 
 @jax.jit

@@ -176,12 +176,12 @@ MADE_OF_OTHERS = ["summed", "composed", "scaled", "in a basis"]
 # `Streamed` reads its bits from the host; all others are plain pytrees. The stacked one holds one of each.
 PYTREES = ["sparse grey", "sparse in 16 bits, grey", "clustered", "clustered in 8 bits", "stacked"]
 # What other cases have, each by itself: of blocks, "sparse" and "sparse over a block"; grey, those in bits.
-TOGETHER = ["sparse grey", "sparse full blocks", "clustered grey"]
+COMBINED = ["sparse grey", "sparse full blocks", "clustered grey"]
 # What the stacked one holds as it is.
 HELD = ["sparse grey", "clustered"]
 
 
-def cases(names, slow=tuple(TOGETHER)) -> list:
+def cases(names, slow=tuple(COMBINED)) -> list:
     return [pytest.param(name, marks=[pytest.mark.slow] * (name in slow)) for name in names]
 
 
@@ -396,7 +396,7 @@ def test_jit_does_not_retrace_for_other_values(name):
 
 
 @pytest.mark.parametrize("counts", [(3, _MANY), pytest.param((1,), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", cases([*SMALL, *MADE_OF_OTHERS], [*TOGETHER, "streamed grey"]))
+@pytest.mark.parametrize("name", cases([*SMALL, *MADE_OF_OTHERS], [*COMBINED, "streamed grey"]))
 def test_many_lights_are_each_by_itself(name, counts):
     operator, matrix = case(name)
     r, d, _ = operator.shape

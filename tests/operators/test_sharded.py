@@ -17,7 +17,7 @@ from jaxrelight.operators.contract import Basis
 from jaxrelight.operators.dense import Dense
 from jaxrelight.operators.sharded import Sharded, sharded
 from jaxrelight.operators.sparse_rows import sparse_rows
-from tests.operators.sharded_child import CASES, TOGETHER, D, check, clusters, random, rows
+from tests.operators.sharded_child import CASES, MULTIPROCESS_CASES, D, check, clusters, random, rows
 
 ROOT = pathlib.Path(__file__).parents[2]
 
@@ -65,9 +65,9 @@ def test_two_processes_of_two_devices():
         held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         held.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{held.getsockname()[1]}"
-        outputs = _finish(*(_start(2, TOGETHER, address, 2, process) for process in range(2)))
+        outputs = _finish(*(_start(2, MULTIPROCESS_CASES, address, 2, process) for process in range(2)))
     for output in outputs:
-        assert output.splitlines()[-len(TOGETHER) :] == list(TOGETHER)
+        assert output.splitlines()[-len(MULTIPROCESS_CASES) :] == list(MULTIPROCESS_CASES)
 
 
 def test_black_groups_alone():

@@ -23,7 +23,7 @@ from jaxrelight.numerics.arrays import as_array
 # The shape of the table that pairs are interpolated to.
 SHAPE = (90, 60, 60)
 _NEIGHBOURS = 30
-_FEWEST_PAIRS = 32
+_MIN_PAIRS = 32
 _ROUNDS = 300
 
 
@@ -67,8 +67,8 @@ def read_pairs(content: Content) -> Pairs:
     lengths = {len(row) for row in rows}
     if lengths - {4 + count}:
         raise content.fault(f"a line has {max(lengths - {4 + count})} numbers instead of {4 + count}")
-    if len(rows) < _FEWEST_PAIRS:
-        raise content.fault(f"has {len(rows)} pairs of directions, fewer than {_FEWEST_PAIRS}")
+    if len(rows) < _MIN_PAIRS:
+        raise content.fault(f"has {len(rows)} pairs of directions, fewer than {_MIN_PAIRS}")
     table = np.array(rows)
     content.check_finite(table, "numbers")
     if not ((table[:, [0, 2]] >= 0) & (table[:, [0, 2]] < math.pi / 2)).all() or np.abs(table[:, [1, 3]]).max() > 7:

@@ -17,7 +17,7 @@ from jaxrelight.numerics.arrays import as_array
 
 MAGIC = b"tensor_file\0"
 _TYPES = dict(enumerate(["u1", "i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f2", "<f4", "<f8"], 1))
-_MOST_FIELDS, _MOST_DIMENSIONS = 64, 8
+_MAX_FIELDS, _MAX_DIMENSIONS = 64, 8
 
 
 def read_fields(content: Content) -> dict[str, np.ndarray]:
@@ -30,13 +30,13 @@ def read_fields(content: Content) -> dict[str, np.ndarray]:
     version, count = reader.take("<2B"), reader.take("<I")[0]
     if version != (1, 0):
         raise content.fault(f"is of version {version[0]}.{version[1]}, not 1.0", "use a file of version 1.0")
-    if count > _MOST_FIELDS:
+    if count > _MAX_FIELDS:
         raise content.fault(f"claims {count:,} fields")
     fields, spans = {}, []
     for _ in range(count):
         name = reader.bytes(reader.take("<H")[0]).decode("utf-8", "replace")
         dimensions, kind, offset = reader.take("<HBQ")
-        if kind not in _TYPES or dimensions > _MOST_DIMENSIONS or name in fields:
+        if kind not in _TYPES or dimensions > _MAX_DIMENSIONS or name in fields:
             raise content.fault(f"the header's entry '{name[:40]}' makes no sense")
         shape = reader.take(f"<{dimensions}Q")
         fields[name] = content.array(_TYPES[kind], shape, offset)

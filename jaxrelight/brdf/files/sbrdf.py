@@ -32,7 +32,7 @@ from jaxrelight.files.whole_file import write_whole
 from jaxrelight.images.exr import read_channels, write_channels
 from jaxrelight.numerics.arrays import as_array
 
-_LARGEST = 2**26  # texels
+_MAX_TEXELS = 2**26  # texels
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def read_sbrdf(path: str | pathlib.Path) -> list[SbrdfLevel]:
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the .exr that jaxrelight-fit sbrdf wrote")
     try:
-        parts = read_channels(path, _LARGEST)
+        parts = read_channels(path, _MAX_TEXELS)
     except OSError as fault:
         raise InputError(f"{path}: cannot be read ({fault.strerror or fault}); check the path and its rights") from None
     levels = [_level(path, number, planes) for number, planes in enumerate(parts)]

@@ -25,11 +25,11 @@ LEVELS = 5
 # Cycles at which a parent counts e times less.
 _REACH = 0.15
 # A parent counts e times less at this many squared steps in the image, and not at all if mirrors differ by more.
-_IMAGE, _MOST_TURNED = 0.075, 0.5
+_IMAGE, _MAX_TURN = 0.075, 0.5
 # This bounds the weights' squares: what is further outside its parents would make their noise larger.
-_MOST_NOISE = 1.2
+_MAX_NOISE_GAIN = 1.2
 # This is the least weight of all parents together that counts.
-_LEAST = 1e-3
+_MIN_TOTAL_WEIGHT = 1e-3
 # A level's tolerance is smaller by this power of two than that of the next finer level.
 _SHARE = 1.0
 # Lines and columns of a lattice's parents before its first pixel, and after its last one.
@@ -235,7 +235,7 @@ def _between(own, parents, parent_rows, inside):
         x, y = (angular * _sum(turned * axis) for axis in (axes[:3], axes[3:]))
         most_angular, most_spatial = (jnp.maximum(*pair) for pair in ((angular, rates[0]), (spatial, rates[1])))
         square = _sum(turned**2) * most_angular**2 + _sum(moved**2) * most_spatial**2
-        usable = (other[_KIND] == kind) & (_sum(turned**2) < _MOST_TURNED**2)
+        usable = (other[_KIND] == kind) & (_sum(turned**2) < _MAX_TURN**2)
         usable &= near_enough[:, None] | (level >= inside)[None]
         near = jnp.where(usable, jnp.exp(-square / _REACH**2 - image[:, None]), 0)
         return near, x, y, square, rates[2]
@@ -247,14 +247,14 @@ def _between(own, parents, parent_rows, inside):
     total, weights, left = _linear(near, x, y)
     wrong = 2 * np.pi * left + 0.25 * (2 * np.pi) ** 2 * _sum(jnp.abs(weights) * square)
     most = jnp.maximum(contrast, _sum(jnp.abs(weights) * brought))
-    usable = (total > _LEAST) & (_sum(weights**2) < _MOST_NOISE)
+    usable = (total > _MIN_TOTAL_WEIGHT) & (_sum(weights**2) < _MAX_NOISE_GAIN)
     return weights, jnp.where(usable, most * wrong, jnp.inf)
 
 
 def _linear(near, x, y):
     """Σ near, weights of the value at the origin of a linear function fitted to parents, and |Σ w (x, y)|."""
     total = _sum(near)
-    share = near / jnp.where(total > _LEAST, total, 1)[None]
+    share = near / jnp.where(total > _MIN_TOTAL_WEIGHT, total, 1)[None]
     mean_x, mean_y = _sum(share * x), _sum(share * y)
     off_x, off_y = x - mean_x[None], y - mean_y[None]
     xx, xy, yy = (_sum(share * one * other) for one, other in ((off_x,) * 2, (off_x, off_y), (off_y,) * 2))

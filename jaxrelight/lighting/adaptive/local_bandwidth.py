@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 # Surfaces seen more obliquely than this count as this.
-_LEAST_COSINE = 0.02
+_MIN_COSINE = 0.02
 
 
 class Bandwidth(NamedTuple):
@@ -34,7 +34,7 @@ def onto_surface(band: Bandwidth, cosine: ArrayLike) -> Bandwidth:
 
 def off_surface(band: Bandwidth, cosine: ArrayLike) -> Bandwidth:
     """P_x: from along the surface to across the ray."""
-    return Bandwidth(band.s / jnp.maximum(cosine, _LEAST_COSINE), band.a)
+    return Bandwidth(band.s / jnp.maximum(cosine, _MIN_COSINE), band.a)
 
 
 def curved(band: Bandwidth, curvature: ArrayLike) -> Bandwidth:

@@ -25,11 +25,11 @@ from jaxrelight.numerics.random_numbers import vogel_points
 # Pixels at a time: enough for all cores, and what is made for them nearly fits their caches.
 _PIXEL_BATCH = 8192
 # What hides light from nearer than this share of the distance to the eye is a pixel's own neighbourhood.
-_LEAST_DISTANCE = 1e-3
+_MIN_RELATIVE_DISTANCE = 1e-3
 # Textures count as so many times faster: a checked one has all its contrast at its bandwidth, where light has little.
 _OF_TEXTURES = 2.0
 # Surfaces seen more obliquely than this count as this; and mirrors turn no further from pixel to pixel.
-_LEAST_COSINE, _MAX_TURN = 0.02, 0.3
+_MIN_COSINE, _MAX_TURN = 0.02, 0.3
 
 
 class Prediction(NamedTuple):
@@ -121,9 +121,9 @@ def predict(
         frame, omega_o, uv, footprint, curvature, distance, omega_i, density, *hidden = pixel_inputs
         point = part.towards(omega_o, uv, footprint)
         # Mirrors turn twice as far as normals, and a pixel is longer where the surface is seen obliquely.
-        turn = 2 * curvature * distance * pixel_angle * spacing / jnp.maximum(omega_o[2], _LEAST_COSINE)
+        turn = 2 * curvature * distance * pixel_angle * spacing / jnp.maximum(omega_o[2], _MIN_COSINE)
         least = jnp.minimum(turn, _MAX_TURN) ** 2
-        width = distance * pixel_angle / jnp.sqrt(jnp.maximum(omega_o[2], _LEAST_COSINE))
+        width = distance * pixel_angle / jnp.sqrt(jnp.maximum(omega_o[2], _MIN_COSINE))
         texture = _OF_TEXTURES * part.texture_bandwidth(uv, footprint) / jnp.where(width > 0, width, 1)
 
         def sample(omega_i, density, *hidden):
@@ -151,7 +151,7 @@ def predict(
                 "angular": contribution * jnp.minimum(own, varied) ** 2,
                 "edge": unshadowed * own,
                 "spatial": jnp.where(
-                    jnp.isinf(far), 0, unshadowed * own / jnp.maximum(far, _LEAST_DISTANCE * distance)
+                    jnp.isinf(far), 0, unshadowed * own / jnp.maximum(far, _MIN_RELATIVE_DISTANCE * distance)
                 ),
                 "image": contribution * seen,
                 "largest": jnp.where(contribution > 0, seen, 0),

@@ -11,7 +11,7 @@ from jaxrelight.numerics.arrays import as_array
 
 H, W = 40, 48
 # Channels of an image that are worked on together: one number of them is compiled.
-TOGETHER = 64
+CHANNEL_CHUNK = 64
 
 
 def features(kind=None, angular: float | np.ndarray = 0.5, contrast=1.0, spatial=0.0, bent=0.01) -> Features:
@@ -28,8 +28,8 @@ def features(kind=None, angular: float | np.ndarray = 0.5, contrast=1.0, spatial
 def interpolated(between: Hierarchy, image: np.ndarray) -> np.ndarray:
     """By so many channels at a time."""
     channels = image.shape[2]
-    wide = np.pad(image.astype(np.float32), ((0, 0), (0, 0), (0, -channels % TOGETHER)))
-    parts = np.split(wide, wide.shape[2] // TOGETHER, axis=2)
+    wide = np.pad(image.astype(np.float32), ((0, 0), (0, 0), (0, -channels % CHANNEL_CHUNK)))
+    parts = np.split(wide, wide.shape[2] // CHANNEL_CHUNK, axis=2)
     return np.concatenate([between.interpolate(as_array(part)) for part in parts], axis=2)[..., :channels]
 
 
