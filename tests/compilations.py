@@ -8,15 +8,15 @@ import jax.monitoring
 @contextlib.contextmanager
 def compilations():
     """Lists the programs that are compiled within the block, by name."""
-    found: list[str] = []
+    programs: list[str] = []
 
     def listen(event: str, duration_secs: float, **details):
         del duration_secs
         if event == "/jax/core/compile/backend_compile_duration":
-            found.append(str(details.get("fun_name", "")))
+            programs.append(str(details.get("fun_name", "")))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        yield found
+        yield programs
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)

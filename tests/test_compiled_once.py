@@ -108,9 +108,9 @@ def scene(seed: int) -> jr.Scene:
 
 @functools.cache
 def relighter(seed: int) -> PrefilteredRelighter:
-    found = jr.prepare(scene(seed), jr.Prefiltered(map_rows=32))
-    assert isinstance(found, PrefilteredRelighter)
-    return found
+    prepared = jr.prepare(scene(seed), jr.Prefiltered(map_rows=32))
+    assert isinstance(prepared, PrefilteredRelighter)
+    return prepared
 
 
 @functools.cache
@@ -202,10 +202,10 @@ def test_other_values_compile_nothing(file: str, number: int):
 
 def test_every_file_that_loops_is_counted():
     loops = re.compile(r"lax\.(map|scan|fori_loop|while_loop|associative_scan)\(|pure_callback\(")
-    found = set()
+    modules = set()
     for root in (pathlib.Path(jr.__file__).parent, pathlib.Path(fitting.__file__).parent):
         within = "" if root.name == "jaxrelight" else f"{root.name}/"
         for path in root.rglob("*.py"):
             if loops.search(path.read_text()):
-                found.add(within + path.relative_to(root).with_suffix("").as_posix())
-    assert found == {*FUNCTIONS, *ELSEWHERE}
+                modules.add(within + path.relative_to(root).with_suffix("").as_posix())
+    assert modules == {*FUNCTIONS, *ELSEWHERE}

@@ -114,9 +114,9 @@ def test_every_dial_is_documented(kind: type[Method]):
     ids=str,
 )
 def test_what_is_left_out(method: Method, environment: bool, local: bool, what: list[str]):
-    found = method.leaves_out(environment, local)
-    assert len(found) == len(what)
-    assert all(line.startswith(start) for line, start in zip(found, what, strict=True))
+    lines = method.leaves_out(environment, local)
+    assert len(lines) == len(what)
+    assert all(line.startswith(start) for line, start in zip(lines, what, strict=True))
 
 
 @pytest.mark.parametrize(("rays", "side"), [(1, 1), (4, 2), (9, 3), (16, 4), (25, 5)])

@@ -116,11 +116,11 @@ PUBLIC = {
 @functools.cache
 def _modules() -> dict[str, ast.Module]:
     """Every module of the package, parsed, by its name without the package's."""
-    found = {}
+    modules = {}
     for path in sorted(ROOT.rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
-        found[".".join(part for part in parts if part != "__init__")] = ast.parse(path.read_text(encoding="utf-8"))
-    return found
+        modules[".".join(part for part in parts if part != "__init__")] = ast.parse(path.read_text(encoding="utf-8"))
+    return modules
 
 
 def _imported(tree: ast.Module) -> set[str]:
@@ -165,10 +165,10 @@ def test_version_is_that_of_the_installed_package():
 
 @pytest.mark.parametrize("name", sorted(PUBLIC))
 def test_public_name_loads(name: str):
-    found = getattr(jaxrelight, name)
-    assert callable(found)
-    assert found.__doc__
-    assert found.__name__ == name
+    member = getattr(jaxrelight, name)
+    assert callable(member)
+    assert member.__doc__
+    assert member.__name__ == name
 
 
 def test_unknown_name_is_an_attribute_error():

@@ -44,11 +44,11 @@ def _write_obj(path: pathlib.Path, mesh: Mesh) -> None:
 
 
 def _scene_of_the_guide() -> str:
-    found = re.search(
+    match = re.search(
         r"^```toml\n(.*?)^```$", (GUIDE / "scenes.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
     )
-    assert found
-    return found[1]
+    assert match
+    return match[1]
 
 
 @pytest.mark.slow
@@ -90,7 +90,7 @@ def test_snippets_of_docstrings_run():
     moved: Any = [jr.point([1, 2, 0], 5 * np.array([1, 0.9, 0.8])), jr.directional([0, -1, 0.2], 2)]
     np.testing.assert_allclose(names["picture"], relighter.picture(moved)[..., :3], rtol=1e-5, atol=1e-6)
     pattern = re.compile(r"^ {4,}[a-z_]+ = (relighter|jr|LightLayers|layers)\b.*\n(?! *\S+ = )", re.MULTILINE)
-    found = {
+    files = {
         path.name
         for root in ("jaxrelight", "fitting")
         for path in (ROOT / root).rglob("*.py")
@@ -98,7 +98,7 @@ def test_snippets_of_docstrings_run():
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.Module)
         if pattern.search(ast.get_docstring(node) or "")
     }
-    assert found == {"contract.py", "light_layers.py"}
+    assert files == {"contract.py", "light_layers.py"}
 
 
 def test_scene_of_the_guide_loads(folder: pathlib.Path):

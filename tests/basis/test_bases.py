@@ -39,7 +39,7 @@ def test_results_have_the_precision_of_what_is_given(x64, dtype):
         of_texels = [transform(texels) for basis, _ in BASES[:2] for transform in (basis.encode, basis.decode)]
         turned = latlong.rotate(pixels, np.float32(20))
         u, v = latlong.finite_coordinates(pixels)
-        found = resampling.apply(pixels), latlong.resized(pixels, 4, 8), latlong.look_up(pixels, u, v)
-        return *of_texels, turned, u, v, *found, zonal.zonal_means(pixels, 2.0)
+        resampled = resampling.apply(pixels), latlong.resized(pixels, 4, 8), latlong.look_up(pixels, u, v)
+        return *of_texels, turned, u, v, *resampled, zonal.zonal_means(pixels, 2.0)
 
     assert {array.dtype for array in jax.eval_shape(everything, texels, pixels)} == {np.dtype(dtype)}

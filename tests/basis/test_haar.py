@@ -40,20 +40,20 @@ def pyramid(face: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("n", [1, 2, 4, 16, 64])
 def test_is_pywavelets(n):
     data = faces(n, 3).astype(np.float32)
-    found = forward(data)
-    assert found.dtype == np.float32
+    coefficients = forward(data)
+    assert coefficients.dtype == np.float32
     expected = np.stack([pyramid(face) for face in data.astype(float)])
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    np.testing.assert_allclose(coefficients, expected, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("n", [1, 2, 8, 32])
 def test_is_pywavelets_in_float64(x64, n):
     data = faces(n)
-    found = forward(data)
-    assert found.dtype == np.float64
-    np.testing.assert_allclose(found, pyramid(data), atol=1e-12)
-    np.testing.assert_allclose(inverse(found), data, atol=1e-12)
-    np.testing.assert_allclose(np.sum(found**2), np.sum(data**2), rtol=1e-12)
+    coefficients = forward(data)
+    assert coefficients.dtype == np.float64
+    np.testing.assert_allclose(coefficients, pyramid(data), atol=1e-12)
+    np.testing.assert_allclose(inverse(coefficients), data, atol=1e-12)
+    np.testing.assert_allclose(np.sum(coefficients**2), np.sum(data**2), rtol=1e-12)
 
 
 @pytest.mark.parametrize("n", [1, 4, 64])
@@ -148,5 +148,5 @@ def test_levels_are_those_of_the_pyramid():
     place = np.arange(n)
     for number in range(1, 5):
         stripes = 1.0 - 2 * (place // (n >> number) % 2)
-        found = forward(np.outer(stripes, np.ones(n)).astype(np.float32))
-        assert set(level[0][np.abs(found) > 1e-6]) == {number}
+        coefficients = forward(np.outer(stripes, np.ones(n)).astype(np.float32))
+        assert set(level[0][np.abs(coefficients) > 1e-6]) == {number}

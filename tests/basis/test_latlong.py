@@ -122,9 +122,9 @@ def test_resampling_is_the_mean_over_each_texel(height, width, resolution):
 def test_applying_is_the_product_with_the_shares(height, width, resolution):
     pixels = np.random.default_rng(0).uniform(size=(height, width, 2)).astype(np.float32)
     pixels[..., 1] = 1
-    found = np.asarray(apply(latlong.area_resampling(height, width, resolution), pixels))
-    np.testing.assert_allclose(found, shares(height, width, resolution) @ pixels.reshape(-1, 2), rtol=1e-5)
-    np.testing.assert_allclose(found[:, 1], 1, atol=1e-6)
+    texels = np.asarray(apply(latlong.area_resampling(height, width, resolution), pixels))
+    np.testing.assert_allclose(texels, shares(height, width, resolution) @ pixels.reshape(-1, 2), rtol=1e-5)
+    np.testing.assert_allclose(texels[:, 1], 1, atol=1e-6)
 
 
 def test_resampling_does_not_retrace_for_other_pixels():
@@ -217,8 +217,8 @@ def test_gradient_in_the_angle_is_the_finite_difference(x64):
 
 def test_cells_left_of_the_seam_are_found():
     cells = np.arange(16, dtype=np.float32).reshape(1, 16, 1)
-    found = look_up(cells, [-0.1, -0.01, 1.01], np.full(3, 0.5))
-    np.testing.assert_array_equal(found.ravel(), [14, 15, 0])
+    values = look_up(cells, [-0.1, -0.01, 1.01], np.full(3, 0.5))
+    np.testing.assert_array_equal(values.ravel(), [14, 15, 0])
 
 
 def test_a_resampling_first_made_under_jit_can_be_used_afterwards():
@@ -231,7 +231,7 @@ def test_a_resampling_first_made_under_jit_can_be_used_afterwards():
 @pytest.mark.parametrize("shape", [(3, 5), (12, 24)])
 def test_resizing_arrays_of_jax_is_the_same_and_differentiable(x64, shape):
     pixels = np.random.default_rng(0).uniform(size=(6, 12, 2))
-    found = latlong.resized(jnp.asarray(pixels), *shape)
-    assert isinstance(found, jax.Array)
-    np.testing.assert_allclose(found, latlong.resized(pixels, *shape), rtol=1e-12)
+    resized = latlong.resized(jnp.asarray(pixels), *shape)
+    assert isinstance(resized, jax.Array)
+    np.testing.assert_allclose(resized, latlong.resized(pixels, *shape), rtol=1e-12)
     check_grads(jax.jit(lambda p: latlong.resized(p, *shape)), (jnp.asarray(pixels),), order=1, modes=["rev"])

@@ -14,10 +14,10 @@ def _wave(cycles: int) -> np.ndarray:
 
 @pytest.mark.parametrize("cycles", [2, 5, 11, 23, 47])
 def test_wave_has_the_frequency_of_its_octave(cycles: int):
-    found = local_frequency(_wave(cycles), threshold=0.5)
-    assert np.all(found >= 0.7 * cycles / N)
-    assert np.all(found <= 2.9 * cycles / N)
-    np.testing.assert_array_equal(local_frequency(_wave(cycles).swapaxes(0, 1), threshold=0.5), found.T)
+    frequency = local_frequency(_wave(cycles), threshold=0.5)
+    assert np.all(frequency >= 0.7 * cycles / N)
+    assert np.all(frequency <= 2.9 * cycles / N)
+    np.testing.assert_array_equal(local_frequency(_wave(cycles).swapaxes(0, 1), threshold=0.5), frequency.T)
 
 
 def test_constant_has_none():
@@ -27,19 +27,19 @@ def test_constant_has_none():
 
 def test_scale_and_a_constant_beside_it_change_nothing():
     image = np.random.default_rng(0).random((N, N, 2)) ** 8
-    found = local_frequency(image)
-    np.testing.assert_array_equal(local_frequency(1e6 * image), found)
-    np.testing.assert_array_equal(local_frequency(image + 1), found)
+    frequency = local_frequency(image)
+    np.testing.assert_array_equal(local_frequency(1e6 * image), frequency)
+    np.testing.assert_array_equal(local_frequency(image + 1), frequency)
 
 
 def test_spot_is_found_where_it_is():
     y, x = np.indices((N, N))
     image = np.exp(-((x - 40) ** 2 + (y - 90) ** 2) / 2) + 0.2 * np.cos(2 * np.pi * x / N)
-    found = local_frequency(image[..., None])
-    assert found[90, 40] >= 0.25
+    frequency = local_frequency(image[..., None])
+    assert frequency[90, 40] >= 0.25
     far = np.hypot((x - 40 + 64) % N - 64, (y - 90 + 64) % N - 64) > 24
-    assert np.median(found[far]) <= 0.25 * found[90, 40]
-    peak = np.argwhere(found == found.max()).mean(axis=0)
+    assert np.median(frequency[far]) <= 0.25 * frequency[90, 40]
+    peak = np.argwhere(frequency == frequency.max()).mean(axis=0)
     np.testing.assert_allclose(peak, [90, 40], atol=2)
 
 

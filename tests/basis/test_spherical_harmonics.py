@@ -56,8 +56,8 @@ def test_a_function_filtered_is_its_mean_under_the_lobe(exponent: float):
     peaks = unit_vectors(7, 2)
     lobes = np.maximum(peaks @ direction.T, 0) ** exponent * area
     wanted = lobes @ function / lobes.sum(axis=1)
-    found = _filtered(coefficients, peaks.astype(np.float32), np.full(7, exponent, np.float32))
-    np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(function).max())
+    filtered = _filtered(coefficients, peaks.astype(np.float32), np.full(7, exponent, np.float32))
+    np.testing.assert_allclose(filtered, wanted, atol=2e-3 * np.abs(function).max())
 
 
 def test_derivatives_are_finite_at_the_poles_and_for_the_widest_lobe():

@@ -56,8 +56,8 @@ def test_the_kept_set_is_the_best_one(r, c, d, count):
     assert (np.diff(kept.indices, axis=-1) > 0).all()
     energy = np.sum(rows.astype(float) ** 2, axis=1)
     best = np.sort(energy, axis=-1)[:, ::-1][:, :count]
-    found = np.take_along_axis(energy, np.asarray(kept.indices), axis=-1)
-    np.testing.assert_allclose(np.sort(found, axis=-1)[:, ::-1], best, rtol=1e-6)
+    kept_energy = np.take_along_axis(energy, np.asarray(kept.indices), axis=-1)
+    np.testing.assert_allclose(np.sort(kept_energy, axis=-1)[:, ::-1], best, rtol=1e-6)
     np.testing.assert_array_equal(kept.values, gather(rows, kept.indices))
 
 

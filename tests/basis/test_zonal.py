@@ -27,9 +27,9 @@ def test_means_are_the_sums_over_all_directions(exponent, height):
     kernel *= np.repeat(latlong.solid_angles(height, 2 * height), 2 * height)
     kernel /= kernel.sum(axis=1, keepdims=True)
     wanted = (kernel @ pixels.reshape(-1, 3)).reshape(pixels.shape)
-    found = zonal_means(jnp.asarray(pixels), exponent)
+    means = zonal_means(jnp.asarray(pixels), exponent)
     # Whether a direction in the plane of the horizon is above it is a matter of rounding.
-    np.testing.assert_allclose(found, wanted, rtol=2e-4 if exponent else 3e-2)
+    np.testing.assert_allclose(means, wanted, rtol=2e-4 if exponent else 3e-2)
 
 
 def test_a_sharp_kernel_is_followed_as_far_as_it_goes():
@@ -38,8 +38,8 @@ def test_a_sharp_kernel_is_followed_as_far_as_it_goes():
     some = np.random.default_rng(1).choice(len(omega), 40, replace=False)
     kernel = np.maximum(omega[some] @ omega.T, 0) ** 400 * np.repeat(latlong.solid_angles(128, 256), 256)
     wanted = (kernel / kernel.sum(axis=1, keepdims=True)) @ pixels.reshape(-1, 3)
-    found = np.asarray(zonal_means(jnp.asarray(pixels), 400.0)).reshape(-1, 3)[some]
-    np.testing.assert_allclose(found, wanted, rtol=2e-4)
+    means = np.asarray(zonal_means(jnp.asarray(pixels), 400.0)).reshape(-1, 3)[some]
+    np.testing.assert_allclose(means, wanted, rtol=2e-4)
 
 
 @pytest.mark.parametrize("exponent", [0, 0.3, 20, 1e4])
@@ -47,18 +47,18 @@ def test_a_constant_stays_and_nothing_becomes_negative(exponent):
     np.testing.assert_allclose(zonal_means(jnp.asarray(np.full((32, 64, 3), 3, np.float32)), exponent), 3, rtol=1e-5)
     sun = np.zeros((32, 64, 3), np.float32)
     sun[3, 60] = 1e5
-    for found in np.moveaxis(np.asarray(zonal_means(jnp.asarray(sun), exponent)), -1, 0):
-        assert found.min() >= -1e-6 * found.max()
-        assert found.argmax() == sun[..., 0].argmax() or exponent == 0
+    for channel in np.moveaxis(np.asarray(zonal_means(jnp.asarray(sun), exponent)), -1, 0):
+        assert channel.min() >= -1e-6 * channel.max()
+        assert channel.argmax() == sun[..., 0].argmax() or exponent == 0
 
 
 def test_turning_commutes_and_the_map_upside_down_gives_means_upside_down():
     pixels = sky(32)
-    found, turned, upside_down = (
+    means, turned, upside_down = (
         np.asarray(zonal_means(jnp.asarray(each), 5)) for each in (pixels, np.roll(pixels, 7, axis=1), pixels[::-1])
     )
-    np.testing.assert_allclose(turned, np.roll(found, 7, axis=1), rtol=1e-4)
-    np.testing.assert_allclose(upside_down, found[::-1], rtol=1e-4)
+    np.testing.assert_allclose(turned, np.roll(means, 7, axis=1), rtol=1e-4)
+    np.testing.assert_allclose(upside_down, means[::-1], rtol=1e-4)
 
 
 def test_gradients_are_right(x64):

@@ -96,8 +96,8 @@ def correlations(report: Report, case: Case):
     for name, heading in (("image", "average (eq. 4)"), ("largest", "maximum (figure 6)")):
         values = np.asarray(getattr(predicted, name))
         own = values[real], windowed(values, pixel, case.covered.shape)[pixel[real]]
-        found = [stats.spearmanr(of[ok], wanted[ok])[0] for wanted in measured for of in own]
-        rows.append([heading, *(f"{of:.2f}" for of in found)])
+        rho = [stats.spearmanr(of[ok], wanted[ok])[0] for wanted in measured for of in own]
+        rows.append([heading, *(f"{of:.2f}" for of in rho)])
     report.text(
         f"{case.name}: rank correlation of the bandwidth that is predicted with that of windows of 32×32 pixels, in "
         "pixels off the silhouette. Of a window, the root mean square of its frequencies, its mean the one of "
@@ -107,11 +107,11 @@ def correlations(report: Report, case: Case):
     )
     report.table(["", *(f"{of}, {by}" for of in ("mean square", "95 %") for by in ("pixel", "window"))], rows)
     spread = measured_variance(case)[real]
-    found = [stats.spearmanr(np.asarray(of)[real], spread)[0] for of in
-             (predicted.variance, predicted.variance_of_bandwidth)]  # fmt: skip
+    rho = [stats.spearmanr(np.asarray(of)[real], spread)[0] for of in
+           (predicted.variance, predicted.variance_of_bandwidth)]  # fmt: skip
     report.text(
-        f"Variance, against that of 1,024 samples of a texel each: rank correlation {found[0]:.2f} by second moments, "
-        f"{found[1]:.2f} by eq. 8."
+        f"Variance, against that of 1,024 samples of a texel each: rank correlation {rho[0]:.2f} by second moments, "
+        f"{rho[1]:.2f} by eq. 8."
     )
 
 
@@ -276,7 +276,7 @@ def windowed_frequencies(
     hann = np.hanning(WINDOW)[:, None] * np.hanning(WINDOW)
     radius = np.hypot(*np.meshgrid(*[np.fft.fftfreq(WINDOW)] * 2, indexing="ij")).ravel()
     order = np.argsort(radius)
-    found, ok = np.zeros((2, len(pixel))), np.zeros(len(pixel), bool)
+    frequencies, ok = np.zeros((2, len(pixel))), np.zeros(len(pixel), bool)
     for i in np.flatnonzero(inside):
         part = np.s_[y[i] - half : y[i] + half, x[i] - half : x[i] + half]
         if not covered[part].all():
@@ -286,10 +286,10 @@ def windowed_frequencies(
         energy = np.abs(np.fft.fft2(hann * (values - mean))).ravel() ** 2
         of_mean = WINDOW**2 * mean**2 * np.sum(hann**2)
         total = np.cumsum(energy[order])
-        found[0, i] = np.sqrt(np.sum(radius**2 * energy) / (of_mean + total[-1]))
-        found[1, i] = radius[order][np.searchsorted(total, 0.95 * total[-1])]
+        frequencies[0, i] = np.sqrt(np.sum(radius**2 * energy) / (of_mean + total[-1]))
+        frequencies[1, i] = radius[order][np.searchsorted(total, 0.95 * total[-1])]
         ok[i] = total[-1] > 0
-    return ok, found
+    return ok, frequencies
 
 
 def windowed(values: np.ndarray, pixel: np.ndarray, shape: tuple[int, int]) -> Float[np.ndarray, " n"]:

@@ -99,10 +99,10 @@ class Index:
         row, start, places, of = self._column_place[columns], 0, [np.zeros(0, int)], [np.zeros(0, int)]
         for held in self._holders:
             mine = (row >= start) & (row < start + len(held))
-            found = held[row[mine] - start]
-            real = found < self._end
-            places.append(found[real])
-            of.append(np.broadcast_to(columns[mine, None], found.shape)[real])
+            holders = held[row[mine] - start]
+            real = holders < self._end
+            places.append(holders[real])
+            of.append(np.broadcast_to(columns[mine, None], holders.shape)[real])
             start += len(held)
         place, column = np.concatenate(places), np.concatenate(of)
         out, start = [], 0
@@ -148,8 +148,8 @@ def _weights_alone(
     import jax.numpy as jnp
 
     by_group = terms.reshape(-1, operator.group_rows, terms.shape[1])
-    for part, found in zip(operator.buckets, shared_rows, strict=True):
-        by_group = by_group.at[part.groups].add(_weighted(part, jnp.arange(len(part.groups)), found), mode="drop")
+    for part, rows in zip(operator.buckets, shared_rows, strict=True):
+        by_group = by_group.at[part.groups].add(_weighted(part, jnp.arange(len(part.groups)), rows), mode="drop")
     return by_group.reshape(terms.shape)
 
 
@@ -190,7 +190,7 @@ def changes(report: Report, relighter, runs: int):
             "weights": lambda: weights(operators, terms, given),
             "host": prepared,
         }
-        whole, found = (np.concatenate(sides[side]()) for side in ("apply", "changed"))
+        whole, updated = (np.concatenate(sides[side]()) for side in ("apply", "changed"))
         times = interleaved(sides, runs)
         entries = sum(int(part.difference.any(axis=1).sum()) for of in met for part in of)
         touched = sum(
@@ -204,7 +204,7 @@ def changes(report: Report, relighter, runs: int):
                 f"{(light != before).any(axis=1).sum():,}",
                 f"{entries:,}",
                 touched,
-                f"{_relative(found, whole):.0e}",
+                f"{_relative(updated, whole):.0e}",
                 *(times[side] for side in sides),
                 *(f"{times['apply'].over(times[side]):.2f}" for side in ("changed", "weights")),
             ]
@@ -337,8 +337,8 @@ def _rounded(
     return codes, rounded
 
 
-def _relative(found: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+def _relative(actual: np.ndarray, wanted: np.ndarray) -> float:
+    return float(np.linalg.norm(actual - wanted) / np.linalg.norm(wanted))
 
 
 def _of(errors: list[float]) -> str:

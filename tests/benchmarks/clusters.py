@@ -89,11 +89,11 @@ def spectrum(report: Report, lights: dict[str, Float[np.ndarray, "d c"]]):
 
     level, sigma = levels(RESOLUTION), natural_spectrum(RESOLUTION)
     count = int(level.max()) + 1
-    found = {
+    by_level = {
         name: [np.sqrt(np.mean(np.square(light[level == i], dtype=float))) for i in range(count)]
         for name, light in lights.items()
     }
-    relative = {name: np.array(rms) / rms[0] for name, rms in found.items()}
+    relative = {name: np.array(rms) / rms[0] for name, rms in by_level.items()}
     mean = np.exp(np.mean([np.log(values) for values in relative.values()], axis=0))
     kept = np.array([sigma[level == i][0] for i in range(count)])
     table = [[name, *(f"{value:.4f}" for value in values)] for name, values in relative.items()]
@@ -151,9 +151,9 @@ class Sample:
         """Of the rows."""
         return self.values.shape[1]
 
-    def off(self, found: dict[str, Float[np.ndarray, "g r 3"]]) -> dict[str, float]:
+    def off(self, products: dict[str, Float[np.ndarray, "g r 3"]]) -> dict[str, float]:
         """Relative errors by light."""
-        return {key: float(np.linalg.norm(y - self.exact[key]) / np.linalg.norm(y)) for key, y in found.items()}
+        return {key: float(np.linalg.norm(y - self.exact[key]) / np.linalg.norm(y)) for key, y in products.items()}
 
     def off_at(self, tolerance: float) -> dict[str, float]:
         """Those of clusters."""
@@ -232,14 +232,14 @@ def sample(scene, terms: int, count: int, lights, quick: bool) -> Sample:
     for rows in baked:
         energy = np.einsum("rcd,rcd->rd", rows, rows)
         largest = np.sort(np.argpartition(energy, -KEPT, axis=-1)[:, -KEPT:], axis=-1)
-        found = np.take_along_axis(rows, largest[:, None], axis=-1)
+        kept_values = np.take_along_axis(rows, largest[:, None], axis=-1)
         indices.append(largest)
-        values.append(found)
+        values.append(kept_values)
         for key, light in sunny().items():
             in_sun[key].append(_lit(rows, light))
         for key, light in lights.items():
             exact[key].append(_lit(rows, light))
-            by_row = [np.sum(found[:, c % rows.shape[1]] * light[largest, c], axis=-1) for c in range(3)]
+            by_row = [np.sum(kept_values[:, c % rows.shape[1]] * light[largest, c], axis=-1) for c in range(3)]
             kept[key].append(np.stack(by_row, axis=-1))
         for tolerance, of in clusters.items():
             of.append(cluster(rows, sigma if tolerance > 0 else same, abs(tolerance))[0])
@@ -284,7 +284,7 @@ def errors(report: Report, one: Sample, terms: int) -> float:
     for tolerance in (t for t in one.clusters if t > 0):
         off, held = one.off_at(tolerance), one.bytes_at(tolerance)
         means[tolerance] = _mean(off)
-        sizes = np.array([(len(found.basis), len(found.support)) for found in one.clusters[tolerance]])
+        sizes = np.array([(len(cluster.basis), len(cluster.support)) for cluster in one.clusters[tolerance]])
         shown = [f"{np.median(x):.0f} ({x.min()} to {x.max()})" for x in sizes.T]
         table.append([f"tolerance {tolerance}", *_errors(off), f"{held / 1e3:.1f}", f"1/{size / held:.1f}", *shown])
     ordered = sorted(means)
@@ -327,11 +327,11 @@ def eight_bits(report: Report, samples: dict[int, Sample], equal: dict[int, floa
         paper = rows * KEPT * (2 + one.channels)
         for bits in (8, 16):
             coded, shape = quantised_clusters(whole, bits), (-1, rows, 3)
-            found, plain = (
+            rounded, plain = (
                 {key: np.asarray(apply(operator, lights[key])).reshape(shape) for key in FOUR}
                 for operator in (coded, whole)
             )
-            off, before = one.off(found), one.off(plain)
+            off, before = one.off(rounded), one.off(plain)
             held = one.bytes_at(tolerance, bits)
             cells = [f"{100 * before[key]:.2f} {100 * (off[key] - before[key]):+.3f}" for key in FOUR]
             cells += _under_a_sun(one, apply, whole, coded)
@@ -475,18 +475,18 @@ def many(report: Report, operator, runs: int):
     c = operator.channels
 
     @jax.jit
-    def dense(operator, found, shared_rows):
+    def dense(operator, gathered, shared_rows):
         return [
             (product("bqs,bsl->bql", part.basis, x), product("bcqr,bcql->bcrl", part.weights, y))
-            for part, x, y in zip(operator.buckets, found, shared_rows, strict=True)
+            for part, x, y in zip(operator.buckets, gathered, shared_rows, strict=True)
         ]
 
-    found = [jnp.ones((*part.support.shape, 3 * LIGHTS)) for part in operator.buckets]
+    gathered = [jnp.ones((*part.support.shape, 3 * LIGHTS)) for part in operator.buckets]
     shared_rows = [jnp.ones((*part.weights.shape[:3], 3 * LIGHTS // c)) for part in operator.buckets]
     batched = jax.jit(jax.vmap(lambda operator, light: operator.apply(light), in_axes=(None, 0)))
     at_once = jax.jit(lambda operator, lights: operator.apply_many(lights))
     sides = {
-        "dense products of the same shapes": lambda: dense(operator, found, shared_rows),
+        "dense products of the same shapes": lambda: dense(operator, gathered, shared_rows),
         "vmap of apply": lambda: batched(operator, lights),
         "apply_many": lambda: at_once(operator, lights),
     }

@@ -43,9 +43,9 @@ def measure(report: Report, side: int, size: int, picture: pathlib.Path | None):
 
     def timed(step: str, make):
         start = time.perf_counter()
-        found = make()
+        result = make()
         rows.append([step, f"{time.perf_counter() - start:.1f} s"])
-        return found
+        return result
 
     layers = timed("fit six materials", lambda: materials(side))
     level = timed(f"compose {side}² texels, refitted where masks meet", lambda: compose(layers, side))

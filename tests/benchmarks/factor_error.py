@@ -102,9 +102,9 @@ class Pairs:
         return np.cumsum(np.moveaxis(np.asarray(light, float) * np.asarray(view, float), 1, 0), axis=0)
 
     @staticmethod
-    def error(found: np.ndarray, exact: np.ndarray, weight: np.ndarray) -> float:
-        """Relative RMS over pairs and channels; `found` may lead with an axis of its own."""
-        square = weight[:, None] * np.stack([(found - exact) ** 2, exact**2])
+    def error(values: np.ndarray, exact: np.ndarray, weight: np.ndarray) -> float:
+        """Relative RMS over pairs and channels; `values` may lead with an axis of its own."""
+        square = weight[:, None] * np.stack([(values - exact) ** 2, exact**2])
         return float(np.sqrt(square[0].sum() / square[1].sum()))
 
     def interpolated(self, brdf, side: int) -> np.ndarray:
@@ -163,8 +163,8 @@ def by_resolution(report: Report, name: str, brdf, pairs: Pairs, sides: list[int
         start = time.perf_counter()
         factors = factor(brdf, max(TERMS), side, cosine=(0.0, 0.0))
         seconds = time.perf_counter() - start
-        found = [*pairs.first_terms(factors), pairs.interpolated(brdf, side)]
-        errors.append([[pairs.error(one, exact, weight) for one in found] for weight in pairs.weights])
+        approximations = [*pairs.first_terms(factors), pairs.interpolated(brdf, side)]
+        errors.append([[pairs.error(one, exact, weight) for one in approximations] for weight in pairs.weights])
         cells = [_both(errors[-1][0][k], errors[-1][1][k]) for k in (*(k - 1 for k in SHOWN), -1)]
         rows.append([f"{side}²", *cells, f"{seconds:.1f} s"])
     square = np.sort(pairs.figure * np.sum(exact**2, axis=-1))
@@ -223,11 +223,9 @@ def by_form(report: Report, materials: dict, pairs: Pairs, side: int):
         exact, rows = pairs.exact(brdf), []
         for form, options in forms.items():
             terms = 1 if options.get("form") == "normalised" else max(TERMS)
-            found = pairs.first_terms(factor(brdf, terms, side, **options))
+            sums = pairs.first_terms(factor(brdf, terms, side, **options))
             cells = [
-                " / ".join(
-                    percent(pairs.error(found[k - 1], exact, weight)) for weight in (pairs.figure, pairs.picture)
-                )
+                " / ".join(percent(pairs.error(sums[k - 1], exact, weight)) for weight in (pairs.figure, pairs.picture))
                 if k <= terms
                 else "–"
                 for k in SHOWN

@@ -255,13 +255,13 @@ def _factored(vertices: Seen, subset: Subset, omega_o: np.ndarray, exponent: int
     return {k: np.concatenate(parts, axis=1) for k, parts in radiance.items()}
 
 
-def _errors(found: np.ndarray, exact: np.ndarray, above: np.ndarray) -> list[str]:
+def _errors(radiance: np.ndarray, exact: np.ndarray, above: np.ndarray) -> list[str]:
     from jaxrelight.images import image_error
 
     cells = []
     for start in range(0, exact.shape[1], 3):
         colours = slice(start, start + 3)
-        error = image_error(found[above, colours][None], exact[above, colours][None])
+        error = image_error(radiance[above, colours][None], exact[above, colours][None])
         cells.append(f"{100 * error.trimmed:.1f} ({100 * error.untrimmed:.1f})")
     return cells
 

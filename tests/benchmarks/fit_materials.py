@@ -65,12 +65,12 @@ def _surrogates(report: Report, grid: Grid, count: int):
     start = time.perf_counter()
     fits = jax.block_until_ready(fit_lobes(every[0].omega_i, every[0].omega_o, values, weight))
     seconds = time.perf_counter() - start
-    found, best = np.asarray(fits.residual, float), np.sqrt(oracle("surrogates")[:count])
-    ratios = (found / best) ** 2
+    residuals, best = np.asarray(fits.residual, float), np.sqrt(oracle("surrogates")[:count])
+    ratios = (residuals / best) ** 2
     rows = [
         [
             surrogates.names[index],
-            percent(found[index]),
+            percent(residuals[index]),
             percent(best[index]),
             f"{ratios[index]:.4f}",
             _published_residual(ngan.get(surrogates.names[index]), every[index]),

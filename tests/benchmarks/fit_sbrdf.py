@@ -49,13 +49,13 @@ def measure(name: str, every: int, quick: bool) -> list[list]:
         fit = fit_sbrdf(seen, Options(lobes=lobes))
         seconds = time.perf_counter() - start
         levels = lambert_only(seen, fit.level.normals), fit.level
-        lambert, found = (relative_error(predicted(level, unseen), unseen) for level in levels)
+        lambert, fitted = (relative_error(predicted(level, unseen), unseen) for level in levels)
         texels = int(stack.mask.sum())
         row = [f"{name}, {held.sum()} of {len(held)}", f"{texels:,}", "estimated" if fit.estimated else "given", lobes]
         shares = [
             percent(lambert),
-            percent(found),
-            f"{found / lambert:.2f}",
+            percent(fitted),
+            f"{fitted / lambert:.2f}",
             percent(fit.counts().get("good", 0) / texels),
         ]
         rows.append([*row, *shares, f"{texels / seconds:,.0f}"])

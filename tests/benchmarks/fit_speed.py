@@ -39,9 +39,9 @@ def main():
         scipy_seconds = _scipy(data, 64)
         rows = []
         for name, fit in sides.items():
-            found = fit()
-            residual = np.asarray(found.residual if name != "Optimistix, defaults" else found)
-            good = np.sum(np.asarray(found.verdict) == Verdict.GOOD) if name != "Optimistix, defaults" else ""
+            result = fit()
+            residual = np.asarray(result.residual if name != "Optimistix, defaults" else result)
+            good = np.sum(np.asarray(result.verdict) == Verdict.GOOD) if name != "Optimistix, defaults" else ""
             rows.append(
                 [
                     name,
@@ -86,8 +86,8 @@ def _plain(omega_i, omega_o, values):
 
         unknowns = {"lobe": lobe, "factors": jnp.zeros((3, 2), values.dtype)}
         solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
-        found = optx.least_squares(residual, solver, unknowns, max_steps=100, throw=False).value
-        return jnp.sqrt(jnp.sum(jnp.square(residual(found, None))))
+        solution = optx.least_squares(residual, solver, unknowns, max_steps=100, throw=False).value
+        return jnp.sqrt(jnp.sum(jnp.square(residual(solution, None))))
 
     return jax.vmap(one)(omega_i, omega_o, values)
 

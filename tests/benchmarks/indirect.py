@@ -152,9 +152,9 @@ def peaks(report: Report, samples: int, folder: pathlib.Path, few: int | None):
             method = jr.Indirect(gather_samples=samples, bounces=1, **dials)
             relighter, made = _prepared(scene, method, folder / f"{exponent}-{solid_angle}-{peak}")
             light = relighter.direct_light_at_cloud(scene.lights.local)
-            found = np.asarray(relighter.final_gather(light, relighter.view(), "glossy"))
-            wanted = found if wanted is None else wanted
-            error = float(np.linalg.norm(found - wanted) / np.linalg.norm(wanted))
+            image = np.asarray(relighter.final_gather(light, relighter.view(), "glossy"))
+            wanted = image if wanted is None else wanted
+            error = float(np.linalg.norm(image - wanted) / np.linalg.norm(wanted))
             rays, seconds = f"{made.rays / 1e6:.0f}", f"{made.seconds['pixels']:.1f}"
             rows.append([f"{exponent:g}", f"{solid_angle:g}", f"{peak:g}", percent(error), rays, seconds])
     report.text(
@@ -181,15 +181,15 @@ def closed(report: Report, samples: int, folder: pathlib.Path, most: int):
         for bounces in range(1, most + 1):
             dials: dict[str, Any] = {"near": near, "bounces": bounces, "compression_tolerance": 0.0}
             relighter, _ = _prepared(scene, jr.Indirect(gather_samples=samples, **dials), folder / near)
-            found = np.asarray(relighter.final_gather(relighter.light(None).cloud, relighter.view()))[..., 0]
+            image = np.asarray(relighter.final_gather(relighter.light(None).cloud, relighter.view()))[..., 0]
             wanted = sum(WHITE**n for n in range(bounces + 1))
             cells = ["", ""]
             if bounces > 1:
                 ones = jnp.ones((samples, 3))
                 sums = np.asarray(relighter.add_bounces(ones, 2) - ones)[:, 0]
                 cells = [f"{sums.mean():.4f}", f"{sums.max():.4f}"]
-            off = percent(float(np.sqrt(np.mean((found / wanted - 1) ** 2)))), percent(float(found.mean() / wanted - 1))
-            rows.append([f"{near}, {bounces}", *cells, f"{wanted:.4f}", f"{found.mean():.4f}", *off])
+            off = percent(float(np.sqrt(np.mean((image / wanted - 1) ** 2)))), percent(float(image.mean() / wanted - 1))
+            rows.append([f"{near}, {bounces}", *cells, f"{wanted:.4f}", f"{image.mean():.4f}", *off])
     report.text(
         f"**A closed white room** of albedo {WHITE} that emits 1 (targets: sums of rows never above the albedo; the "
         "picture within 2 % of the series)."

@@ -353,11 +353,11 @@ def as_rows(clusters, spectrum: np.ndarray, count: int):
     from jaxrelight.transport.compression import Rows
 
     kept = Rows(count, 8, spectrum)
-    found = []
+    rows = []
     for one in clusters:
         written = np.einsum("cqr,qs->rcs", one.weights, one.basis, optimize=True).astype(np.float32)
-        found.append(kept.compress(written[:, None], one.support))
-    indices, codes, scales = (np.stack([a[k] for a in found]) for k in ("indices", "values", "values_scale"))
+        rows.append(kept.compress(written[:, None], one.support))
+    indices, codes, scales = (np.stack([a[k] for a in rows]) for k in ("indices", "values", "values_scale"))
     c, n = codes.shape[-2:]
     coded = Quantised(codes.reshape(-1, c, n), scales.reshape(-1, c, scales.shape[-1]), min(16, n))
     return sparse_rows(indices.reshape(-1, n), coded, len(spectrum))
@@ -380,13 +380,13 @@ def culled(relighter, blocks, g) -> list[tuple[float, float, float]]:
     def transform(culling: float):
         total, taken = g, 0
         for _ in range(relighter.method.bounces - 1):
-            found, count = blocks[0].apply(relighter._encoded(total), culling)
-            total, taken = g + cloud.albedo * found[cloud.slot_of], taken + count
+            radiance, count = blocks[0].apply(relighter._encoded(total), culling)
+            total, taken = g + cloud.albedo * radiance[cloud.slot_of], taken + count
         light = relighter._encoded(total)
         pixels = []
         for part in blocks[1:]:
-            found, count = part.apply(light, culling)
-            pixels.append(found)
+            radiance, count = part.apply(light, culling)
+            pixels.append(radiance)
             taken += count
         return pixels, taken
 
@@ -395,8 +395,8 @@ def culled(relighter, blocks, g) -> list[tuple[float, float, float]]:
     times = interleaved({str(c): lambda c=c: transform(c)[0] for c in (0.0, *CULLING)}, 3, 1)
     told = []
     for culling in (0.0, *CULLING):
-        found, taken = transform(culling)
-        error = float(jnp.linalg.norm(jnp.concatenate(found) - whole) / jnp.linalg.norm(whole))
+        by_part, taken = transform(culling)
+        error = float(jnp.linalg.norm(jnp.concatenate(by_part) - whole) / jnp.linalg.norm(whole))
         told.append((times[str(culling)].median, taken / all_of_them, error))
     jax.clear_caches()
     return told

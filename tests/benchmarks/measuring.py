@@ -211,11 +211,11 @@ def machine_speed(rays: Rays | None = None) -> str:
 def machine_name() -> str:
     """Processor, cores, date and versions."""
     info = pathlib.Path("/proc/cpuinfo")
-    found = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
+    match = re.search(r"model name\s*:\s*(.+)", info.read_text()) if info.exists() else None
     packages = "jaxrelight", "jax", "numpy", "scipy", "PyWavelets", "embreex", "zstandard"
     versions = ", ".join(f"{name} {_version(name)}" for name in packages)
     today = datetime.datetime.now(datetime.UTC).date()
-    cpu = found[1].strip() if found else platform.processor() or platform.machine()
+    cpu = match[1].strip() if match else platform.processor() or platform.machine()
     return f"{today}, {cpu}, {THREADS} cores, Python {platform.python_version()}, {versions}"
 
 
@@ -241,9 +241,9 @@ def peak_memory() -> int:
     From /proc where it exists: `getrusage` also counts what the parent held when it started the child.
     """
     status = pathlib.Path("/proc/self/status")
-    found = re.search(r"VmHWM:\s*(\d+) kB", status.read_text()) if status.exists() else None
-    if found:
-        return int(found[1]) * 1024
+    match = re.search(r"VmHWM:\s*(\d+) kB", status.read_text()) if status.exists() else None
+    if match:
+        return int(match[1]) * 1024
     import resource
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -162,12 +162,12 @@ def gpu_shares(relighters, environment, runs: int) -> dict[str, list[str]]:
     read = jax.jit(jnp.sum)
     times = interleaved({"reading": lambda: read(large), **sides}, runs)
     rate = large.nbytes / times["reading"].least
-    found = {}
+    shares = {}
     for label in relighters:
         seconds = times[label].median / CHAIN
         speed = relighters[label].transport.operator.nbytes / seconds
-        found[label] = [f"{seconds * 1e3:.3f}", f"{speed / 1e9:.0f}", f"{speed / rate:.2f}"]
-    return found
+        shares[label] = [f"{seconds * 1e3:.3f}", f"{speed / 1e9:.0f}", f"{speed / rate:.2f}"]
+    return shares
 
 
 def _pixels(environment, relighters):

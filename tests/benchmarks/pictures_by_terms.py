@@ -169,12 +169,12 @@ def many_lights(report: Report, folder: pathlib.Path, quick: bool):
             way = own.rebake([whole])
             for light, truth in zip(lights, truths, strict=True):
                 lit = way.light(light)
-                for k, found in errors.items():
+                for k, rows in errors.items():
                     # Singular vectors come in order, so that few terms are the first of many.
                     kept = (lit.terms[0].at[:, k:].set(0), *lit.terms[1:])
                     error = image_error(way.shade(lit._replace(terms=kept), view).rgba(), truth)
-                    found.append((error.trimmed, error.untrimmed))
-            cells += [" / ".join(percent(value) for value in np.mean(found, axis=0)) for found in errors.values()]
+                    rows.append((error.trimmed, error.untrimmed))
+            cells += [" / ".join(percent(value) for value in np.mean(rows, axis=0)) for rows in errors.values()]
     report.text(
         f"**Cosines in the factorisation**: the bunny alone, pixel receivers, {size}×{size}, resolution {resolution}, "
         f"all coefficients; against the BRDF itself, trimmed / untrimmed, means over {len(files)} environments at "

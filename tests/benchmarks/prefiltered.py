@@ -92,11 +92,11 @@ def quadrature(report: Report, skies: dict, made: dict, count: int):
         directions, solid = _cells(pixels)
         cosine = np.maximum(omega @ directions.T, 0)
         ways = {name: made[name]} | ({"… equal maps": made["equal"]} if not rows else {})
-        found = {way: jax.jit(jax.vmap(maps.look_up, (0, None))) for way, maps in ways.items()}
+        look_ups = {way: jax.jit(jax.vmap(maps.look_up, (0, None))) for way, maps in ways.items()}
         errors = {way: [] for way in ways}
         for n in (*EXPONENTS, *BETWEEN):
             wanted = (cosine ** np.float32(n) * solid) @ pixels.reshape(-1, 3) * ((n + 1) / (2 * np.pi))
-            for way, find in found.items():
+            for way, find in look_ups.items():
                 error = np.asarray(find(jnp.asarray(omega), jnp.float32(n))) - wanted
                 errors[way].append(percent(float(np.sqrt(np.mean(error**2) / np.mean(wanted**2)))))
         rows += [[way, *row] for way, row in errors.items()]
@@ -142,8 +142,8 @@ def horizons(report: Report, skies: dict, count: int):
                 exact = np.einsum("fd,fdc->fc", np.where(dot > 0, np.maximum(dot, 0) ** n, 0) * length**n, light)
                 forms = []
                 for horizon in ("outside", "cut"):
-                    found = _forms(brdf, omega_o, frames, maps, horizon)
-                    forms.append(np.sqrt(np.sum((found - exact) ** 2) / np.sum(exact**2)))
+                    radiance = _forms(brdf, omega_o, frames, maps, horizon)
+                    forms.append(np.sqrt(np.sum((radiance - exact) ** 2) / np.sum(exact**2)))
                 cells.append(" / ".join(f"{100 * error:.1f}" for error in forms))
             rows.append([f"{name}, n = {n}", *cells])
     report.table(["percent", *(f"{angle}°" for angle in ANGLES)], rows)
@@ -177,13 +177,13 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
         maps, texels = made[name], jnp.asarray(pixels)
         exact = _exactly(brdf, few, pixels)
 
-        def error(found, exact=exact):
-            return float(np.sqrt(np.sum((np.asarray(found) - exact) ** 2) / np.sum(exact**2)))
+        def error(radiance, exact=exact):
+            return float(np.sqrt(np.sum((np.asarray(radiance) - exact) ** 2) / np.sum(exact**2)))
 
         mine = error(_prefiltered(brdf, few, maps))
         for way, pyramid in (("at their place", texels), ("filtered", mips(pixels))):
             errors = {n: error(_sampled(brdf, few, pyramid, n)) for n in SAMPLES}
-            enough = [n for n, found in errors.items() if found <= mine]
+            enough = [n for n, off in errors.items() if off <= mine]
             times = interleaved(
                 {
                     "prefiltered": lambda m=maps: _prefiltered(brdf, part.pixels, m),

@@ -174,8 +174,8 @@ def errors(report: Report, patch: Patch, lights):
     for name, (operator, given, size) in ways.items():
         cells = []
         for key, light in given.items():
-            found = colours(operator, light)
-            added, off = image_error(found, plain[key]), image_error(found, exact[key]).untrimmed
+            image = colours(operator, light)
+            added, off = image_error(image, plain[key]), image_error(image, exact[key]).untrimmed
             increase = f"{100 * (off - before[key]):+.2f}"
             cells.append(f"{100 * added.untrimmed:.3f} ({100 * added.trimmed:.3f}), {increase}")
         table.append([name, size, *cells])

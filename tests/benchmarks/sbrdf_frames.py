@@ -153,8 +153,8 @@ def distinct(report: Report, scene, sides: tuple[int, ...], most: int):
     times = interleaved(runs, RUNS)
     rows = []
     for count in drawn:
-        found = [(times[f"{count} {way}"], times[f"4 {way}"]) for way in ways]
-        rows.append([count, *(cell for time, one in found for cell in (_milliseconds(time), f"{time.over(one):.2f}"))])
+        pairs = [(times[f"{count} {way}"], times[f"4 {way}"]) for way in ways]
+        rows.append([count, *(cell for time, one in pairs for cell in (_milliseconds(time), f"{time.over(one):.2f}"))])
     report.text(
         "**Distinct BRDFs** in a map of one lobe, under one light without shadows, or an environment; ratios to a map "
         "of four (target: within 10 %): of single texels, and of two levels of detail, as far as the picture's pixels "

@@ -75,8 +75,8 @@ def measure(report: Report, name: str, level, size: int, many: int, every: Seque
         truth = picture(card(levels, size, across, many, "none"), "reflectance")
         truth = truth.reshape(size, many, size, many, 3).mean(axis=(1, 3))
         for minification, texels in ways:
-            found = picture(card(levels, size, across, 1, minification), texels)
-            error = float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+            image = picture(card(levels, size, across, 1, minification), texels)
+            error = float(np.linalg.norm(image - truth) / np.linalg.norm(truth))
             ways[minification, texels].append(percent(error))
     cards = {m: card(levels, 512 if size > 8 else size, 2, 1, m) for m in MINIFICATIONS}
     frames = {f"{m}, {t}": functools.partial(cards[m].by(texels=t).under, sky_alone) for m, t in ways}

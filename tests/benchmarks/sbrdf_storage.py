@@ -72,10 +72,10 @@ def measure(report: Report, side: int, size: int):
                 start = time.perf_counter()
                 write_sbrdf(path, [level], storage)
                 wrote = time.perf_counter()
-                (found,) = read_sbrdf(path)
+                (decoded,) = read_sbrdf(path)
                 seconds = f"{wrote - start:.1f} s", f"{time.perf_counter() - wrote:.2f} s"
                 sizes[storage] = [megabytes(path.stat().st_size), *seconds]
-                errors.setdefault(storage, []).append(apart(pictures(found, size, sky), truth))
+                errors.setdefault(storage, []).append(apart(pictures(decoded, size, sky), truth))
             for name, change in CHANGES.items():
                 changed = dataclasses.replace(level, lobes=change(level.lobes))
                 errors.setdefault(name, []).append(apart(pictures(changed, size, sky), truth))
@@ -154,9 +154,9 @@ def pictures(level: SbrdfLevel, size: int, sky) -> list[np.ndarray]:
     return [np.asarray(shade_environment(relighter.materials, view, sky)), np.asarray(lit)]
 
 
-def apart(found: list[np.ndarray], truth: list[np.ndarray]) -> str:
+def apart(images: list[np.ndarray], truth: list[np.ndarray]) -> str:
     """Relative L2 of both."""
-    both = zip(found, truth, strict=True)
+    both = zip(images, truth, strict=True)
     return " / ".join(percent(float(np.linalg.norm(a - b) / np.linalg.norm(b))) for a, b in both)
 
 

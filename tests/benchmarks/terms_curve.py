@@ -222,14 +222,14 @@ def measure(report: Report, subset: Subset, resolution: int, sides: list[int]) -
     return curves
 
 
-def _redrawn(error, exact, found, subset: Subset, draws: int = 200) -> str:
+def _redrawn(error, exact, radiance, subset: Subset, draws: int = 200) -> str:
     """Mean and standard deviation of the difference of two trimmed errors over pixels drawn with repetition."""
     rng = np.random.default_rng(0)
     apart = []
     for _ in range(draws):
         chosen = rng.integers(0, len(exact), len(exact))
         reference = subset.reference[chosen]
-        apart.append(error(found[chosen], reference).trimmed - error(exact[chosen], reference).trimmed)
+        apart.append(error(radiance[chosen], reference).trimmed - error(exact[chosen], reference).trimmed)
     return f"{percent(float(np.mean(apart)))} ± {percent(float(np.std(apart)))}"
 
 

@@ -61,9 +61,9 @@ def test_factors_of_another_brdf_come_nearer_to_it():
         return np.linalg.norm(np.einsum("kci,kco->ioc", light, view) - exact)
 
     first, last = (factor(brdf, TERMS, SIDE, cosine=(0, 0)) for brdf in (PHONG, other))
-    start, best, found = error(first), error(last), error(refactored(other, first, (0, 0)))
-    assert best <= found < 1.05 * best
-    assert found < 0.85 * start
+    start, best, refitted = error(first), error(last), error(refactored(other, first, (0, 0)))
+    assert best <= refitted < 1.05 * best
+    assert refitted < 0.85 * start
 
 
 def test_gradients_in_the_parameters(x64):

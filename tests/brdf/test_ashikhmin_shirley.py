@@ -31,11 +31,11 @@ def published(omega_i, omega_o, kd, ks, nu, nv):
 def test_it_is_the_published_formula(x64, nu, nv):
     omega_i, omega_o = hemisphere(400), hemisphere(400, 1)
     brdf = ashikhmin_shirley([0.5, 0.3, 0.0], [0.75, 0.05, 1.0], nu, nv, jnp.float64)
-    found = at(brdf, omega_i, omega_o, np.float64)
+    values = at(brdf, omega_i, omega_o, np.float64)
     for c, (kd, ks) in enumerate([(0.5, 0.75), (0.3, 0.05), (0.0, 1.0)]):
         # Exponents of 10,000 multiply rounding.
         np.testing.assert_allclose(
-            found[:, c], published(omega_i, omega_o, kd, ks, nu, nv), rtol=1e-10 * (1 + nu + nv), atol=1e-200
+            values[:, c], published(omega_i, omega_o, kd, ks, nu, nv), rtol=1e-10 * (1 + nu + nv), atol=1e-200
         )
 
 
@@ -78,9 +78,9 @@ def test_tangent_and_binormal_have_their_own_exponents():
 def test_no_more_is_reflected_than_comes_in(x64, nu, nv, cosine, azimuth):
     omega = np.array([np.cos(azimuth) * np.sqrt(1 - cosine**2), np.sin(azimuth) * np.sqrt(1 - cosine**2), cosine])
     for kd, ks in ((0.5, 0.75), (1.0, 0.2), (1.0, 1.0)):
-        found = albedo(ashikhmin_shirley(kd, ks, nu, nv, jnp.float64), omega)
-        assert found.min() > 0
-        assert found.max() <= 1.01
+        reflectance = albedo(ashikhmin_shirley(kd, ks, nu, nv, jnp.float64), omega)
+        assert reflectance.min() > 0
+        assert reflectance.max() <= 1.01
 
 
 def test_the_specular_lobe_of_isotropic_exponents_has_its_albedo_at_the_normal(x64):
@@ -88,8 +88,8 @@ def test_the_specular_lobe_of_isotropic_exponents_has_its_albedo_at_the_normal(x
     for n in (0, 1, 10, 100):
         low = np.sqrt(0.5)
         exact = (n + 1) * (2 * (1 - low ** (n + 3)) / (n + 3) - (1 - low ** (n + 1)) / (n + 1))
-        found = albedo(ashikhmin_shirley(0, 1, n, n, jnp.float64), np.array([0.0, 0, 1]))
-        np.testing.assert_allclose(found, exact, rtol=1e-5)
+        reflectance = albedo(ashikhmin_shirley(0, 1, n, n, jnp.float64), np.array([0.0, 0, 1]))
+        np.testing.assert_allclose(reflectance, exact, rtol=1e-5)
 
 
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
@@ -103,8 +103,8 @@ def test_values_and_gradients_are_finite_at_every_exponent_and_angle(derivative)
         for ks in (0.0, 0.5, 1.0):
             brdf = ashikhmin_shirley([0, 0.5, 1], ks, nu, nv)
             assert np.isfinite(at(brdf, PAIRS[:, 0], PAIRS[:, 1])).all()
-            for found in jax.tree.leaves(slope((brdf.kd, brdf.ks, brdf.nu, brdf.nv), pairs[:, 0], pairs[:, 1])):
-                assert np.isfinite(np.asarray(found)).all()
+            for gradient in jax.tree.leaves(slope((brdf.kd, brdf.ks, brdf.nu, brdf.nv), pairs[:, 0], pairs[:, 1])):
+                assert np.isfinite(np.asarray(gradient)).all()
 
 
 def test_gradients_are_right(x64):

@@ -40,8 +40,8 @@ def test_square_and_back():
     omega = from_square(a, b)
     assert (omega[:, 2] >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(omega, axis=1), 1, rtol=1e-12)
-    found = jax.jit(jax.vmap(to_square))(omega.astype(np.float32))
-    np.testing.assert_allclose(np.stack(found), np.stack([a, b]), atol=1e-6)
+    square = jax.jit(jax.vmap(to_square))(omega.astype(np.float32))
+    np.testing.assert_allclose(np.stack(square), np.stack([a, b]), atol=1e-6)
     # Cells differ in solid angle by no more than a few times.
     areas = np.linalg.norm(np.cross(from_square(a + 1e-5, b) - omega, from_square(a, b + 1e-5) - omega), axis=1) * 1e10
     assert areas.min() > 1.5
@@ -62,14 +62,14 @@ def test_lobes_by_wavelets_are_near_their_closed_form(exponent: int):
     """Within what the square stretches angles, √3, and half an octave, which is what a wavelet's level tells."""
     brdf = white_phong(exponent)
     omega_o, mirror = np.asarray([[0.6, 0, 0.8], [-0.6, 0, 0.8]], np.float32)
-    found, wanted = look_up(bandwidth_table(brdf, 128), mirror, omega_o), float(_closed_form(brdf, mirror, omega_o))
-    assert wanted / 2.45 <= found <= 2.45 * wanted
+    bandwidth, wanted = look_up(bandwidth_table(brdf, 128), mirror, omega_o), float(_closed_form(brdf, mirror, omega_o))
+    assert wanted / 2.45 <= bandwidth <= 2.45 * wanted
 
 
 def test_sharper_lobes_have_more():
-    found = [look_up(bandwidth_table(phong(0, 0.5, n), 64), UP, UP) for n in (2, 20, 200)]
-    assert found == sorted(found)
-    assert found[2] > 3 * found[0]
+    bandwidths = [look_up(bandwidth_table(phong(0, 0.5, n), 64), UP, UP) for n in (2, 20, 200)]
+    assert bandwidths == sorted(bandwidths)
+    assert bandwidths[2] > 3 * bandwidths[0]
 
 
 def test_an_isotropic_table_turns():
@@ -106,15 +106,15 @@ def spatial(exponent) -> PackedLobes:
 def test_maps_vary_where_any_of_their_parameters_does():
     exponent = np.full((64, 64), 20.0)
     exponent[:32, :32] = np.where(np.indices((32, 32)).sum(axis=0) % 2, 5, 200)
-    found = np.asarray(texture_bandwidth(spatial(exponent)).pixels)[..., 0]
-    assert found[4:28, 4:28].min() > 0.3
-    assert found[44:52, 44:52].max() < 0.1
+    bandwidth = np.asarray(texture_bandwidth(spatial(exponent)).pixels)[..., 0]
+    assert bandwidth[4:28, 4:28].min() > 0.3
+    assert bandwidth[44:52, 44:52].max() < 0.1
     assert not np.asarray(texture_bandwidth(spatial(np.full((64, 64), 20.0))).pixels).any()
 
 
 @pytest.mark.parametrize("shape", [(1, 64), (1, 1), (40, 24)])
 def test_maps_of_any_size_have_a_bandwidth(shape):
     pixels = np.random.default_rng(0).uniform(1, 100, (*shape, 13)).astype(np.float32)
-    found = texture_bandwidth(PackedLobes(Texture(jnp.asarray(pixels)), lobes=1, channels=3))
-    assert found.shape == shape
-    assert np.isfinite(np.asarray(found.pixels)).all()
+    bandwidth = texture_bandwidth(PackedLobes(Texture(jnp.asarray(pixels)), lobes=1, channels=3))
+    assert bandwidth.shape == shape
+    assert np.isfinite(np.asarray(bandwidth.pixels)).all()

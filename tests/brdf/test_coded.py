@@ -28,8 +28,8 @@ def values(spatial: SpatialLobes, count: int = 300) -> tuple[np.ndarray, np.ndar
     omega[..., 2] = np.abs(omega[..., 2])
     scale = np.asarray(spatial.scale)
     arrays = (np.asarray(x)[0] for x in (spatial.diffuse, spatial.C, spatial.exponent, scale))
-    found = np.asarray(_values(*omega.astype(np.float32), *arrays))
-    return found, scale.sum(axis=2)[0].max(axis=-1)[:, None, None]
+    reflected = np.asarray(_values(*omega.astype(np.float32), *arrays))
+    return reflected, scale.sum(axis=2)[0].max(axis=-1)[:, None, None]
 
 
 @jax.jit
@@ -45,10 +45,10 @@ def _values(omega_i, omega_o, *arrays):
 @pytest.mark.parametrize(("storage", "most"), [("half", 6e-4), ("8bit", 0.02)])
 def test_rounding_moves_no_lobe_far_from_its_peak(storage, most, exponent):
     lobes = lobes_of(exponent)
-    found, peak = values(decode(encode(lobes, storage), 1))
+    rounded, peak = values(decode(encode(lobes, storage), 1))
     wanted, _ = values(lobes)
     assert np.abs(wanted).max() > 0.1
-    assert (np.abs(found - wanted) / (peak + 1)).max() < most
+    assert (np.abs(rounded - wanted) / (peak + 1)).max() < most
 
 
 @pytest.mark.parametrize("exponent", [0, 0.3])

@@ -59,8 +59,8 @@ def _padded(array, multiple: int) -> np.ndarray:
 
 def evaluate(brdf, omega_i, omega_o) -> np.ndarray:
     """All pairs [i, o, c] of no more than `COUNT` directions."""
-    found = _evaluate(brdf, _padded(omega_i, COUNT), _padded(omega_o, COUNT))
-    return np.asarray(found, float)[: len(omega_i), : len(omega_o)]
+    pairs = _evaluate(brdf, _padded(omega_i, COUNT), _padded(omega_o, COUNT))
+    return np.asarray(pairs, float)[: len(omega_i), : len(omega_o)]
 
 
 def sampled(brdf, side: int) -> np.ndarray:
@@ -128,8 +128,8 @@ def test_the_error_is_that_of_the_best_approximation():
 def test_all_terms_give_the_sampled_matrix_back():
     omega, _ = disc(SIDE)
     matrix = sampled(GLOSSY, SIDE)
-    found = product(factor(GLOSSY, len(omega), SIDE), omega)
-    np.testing.assert_allclose(found, matrix, atol=1e-5 * matrix.max())
+    products = product(factor(GLOSSY, len(omega), SIDE), omega)
+    np.testing.assert_allclose(products, matrix, atol=1e-5 * matrix.max())
 
 
 def test_a_brdf_of_rank_two_needs_two_terms_everywhere():
@@ -265,10 +265,10 @@ def test_the_weighted_error_is_the_least_there_is(form, parametrisation, cosine)
     sigma = np.stack([np.linalg.svd(matrix[..., c], compute_uv=False) for c in range(3)])
     errors = []
     for terms in (1, 3, 8):
-        found = product(
+        products = product(
             factor(ANISOTROPIC, terms, SIDE, form=form, parametrisation=parametrisation, cosine=cosine), omega
         )
-        error = np.sum((found - exact) ** 2 * np.multiply.outer(*weights)[..., None] ** 2, axis=(0, 1))
+        error = np.sum((products - exact) ** 2 * np.multiply.outer(*weights)[..., None] ** 2, axis=(0, 1))
         np.testing.assert_allclose(error, np.sum(sigma[:, terms:] ** 2, axis=-1), rtol=5e-3)
         errors.append(error)
     assert (np.diff(errors, axis=0) < 0).all()
@@ -324,8 +324,8 @@ def test_the_symmetric_form_is_reciprocal_between_any_directions(parametrisation
     factors = factor(ANISOTROPIC, 3, SIDE, form="symmetric", parametrisation=parametrisation)
     assert isinstance(factors, Symmetric)
     assert (factors.terms, factors.channels) == (3, 3)
-    found = product(factors, omega)
-    np.testing.assert_allclose(found, found.transpose(1, 0, 2), rtol=1e-6, atol=1e-7 * np.abs(found).max())
+    products = product(factors, omega)
+    np.testing.assert_allclose(products, products.transpose(1, 0, 2), rtol=1e-6, atol=1e-7 * np.abs(products).max())
     assert set(np.unique(factors.signs)) == {-1, 1}
 
 
@@ -363,8 +363,8 @@ def test_the_symmetric_form_refuses_what_is_not_symmetric():
     with pytest.raises(InputError, match="same power of the cosine"):
         factor(GLOSSY, 1, SIDE, form="symmetric", cosine=(1, 0))
     omega, _ = POLAR.directions(SIDE)
-    found = product(factor(_OneWay(ONES), 1, SIDE, parametrisation=POLAR), omega)
-    np.testing.assert_allclose(found[:, 0, 0], omega[:, 2], rtol=1e-5)
+    products = product(factor(_OneWay(ONES), 1, SIDE, parametrisation=POLAR), omega)
+    np.testing.assert_allclose(products[:, 0, 0], omega[:, 2], rtol=1e-5)
 
 
 @PARAMETRISATIONS
@@ -379,8 +379,8 @@ def test_the_normalised_form_is_never_negative_and_keeps_the_reflectance(paramet
     exact = evaluate(ANISOTROPIC, omega, omega)
     mean = np.einsum("ioc,o->ic", exact, weight / weight.sum())
     np.testing.assert_allclose(sides(factors, omega)[0][:, 0], mean, rtol=1e-4)
-    found = np.einsum("ioc,o->ic", product(factors, omega), weight / weight.sum())
-    np.testing.assert_allclose(found, mean, rtol=1e-4)
+    product_mean = np.einsum("ioc,o->ic", product(factors, omega), weight / weight.sum())
+    np.testing.assert_allclose(product_mean, mean, rtol=1e-4)
     with pytest.raises(InputError, match="has one term, not 2"):
         factor(ANISOTROPIC, 2, SIDE, form="normalised")
 
@@ -388,8 +388,8 @@ def test_the_normalised_form_is_never_negative_and_keeps_the_reflectance(paramet
 @FORMS
 def test_a_constant_is_exact_in_every_form(form):
     brdf = lambert([0.2, 0.5, 0.0])
-    found = product(factor(brdf, 1, form=form), disc(4)[0])
-    np.testing.assert_allclose(found, np.broadcast_to(np.array([0.2, 0.5, 0]) / np.pi, found.shape), rtol=1e-6)
+    products = product(factor(brdf, 1, form=form), disc(4)[0])
+    np.testing.assert_allclose(products, np.broadcast_to(np.array([0.2, 0.5, 0]) / np.pi, products.shape), rtol=1e-6)
 
 
 @pytest.mark.usefixtures("wrong_types")
@@ -467,12 +467,12 @@ def test_the_non_negative_form_is_never_negative_and_nearly_as_near(parametrisat
     errors = []
     for terms in (1, 2, 4, 8):
         best, _ = error("svd", terms)
-        found, factors = error("nonnegative", terms)
+        residual, factors = error("nonnegative", terms)
         assert isinstance(factors, Factored)
         assert np.asarray(factors.light_maps).min() >= 0
         assert np.asarray(factors.view_maps).min() >= 0
-        assert best * (1 - 1e-4) <= found < 1.6 * best
-        errors.append(found)
+        assert best * (1 - 1e-4) <= residual < 1.6 * best
+        errors.append(residual)
     # The first singular vectors of a non-negative matrix are non-negative.
     assert errors[0] == pytest.approx(error("svd", 1)[0], rel=1e-3)
     assert (np.diff(errors) < 0).all()
@@ -506,10 +506,10 @@ def test_as_few_terms_as_an_error_needs(form):
     def error(factors):
         return np.max(np.linalg.norm(product(factors, omega) - exact, axis=(0, 1)) / np.linalg.norm(exact, axis=(0, 1)))
 
-    found = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.2)
-    assert 1 < found.terms < 20
-    assert error(found) <= 0.2001
-    assert error(factor(GLOSSY, found.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.1999
+    truncated = factor(GLOSSY, 20, SIDE, form=form, cosine=(0, 0), error=0.2)
+    assert 1 < truncated.terms < 20
+    assert error(truncated) <= 0.2001
+    assert error(factor(GLOSSY, truncated.terms - 1, SIDE, form=form, cosine=(0, 0))) > 0.1999
 
 
 def test_an_error_that_is_not_reached_is_told():

@@ -12,8 +12,8 @@ _cut = jax.jit(horizon.clip_lobe)
 
 
 def clip_lobe(peak, exponent):
-    found = _cut(np.asarray(peak, np.float32), np.float32(exponent))
-    return jax.tree.map(np.asarray, found)
+    clipped = _cut(np.asarray(peak, np.float32), np.float32(exponent))
+    return jax.tree.map(np.asarray, clipped)
 
 
 def at(degrees: float, azimuth: float = 0.7) -> np.ndarray:
@@ -32,33 +32,33 @@ def test_share_and_mean_are_those_of_the_product(exponent, degrees):
     share = lobe.mean() * (exponent + 1)
     mean = omega @ lobe / lobe.sum()
     length = np.linalg.norm(mean)
-    found = clip_lobe(peak, exponent)
-    np.testing.assert_allclose(found.share, share, rtol=4e-3 if degrees < 90 else 2e-2, atol=1e-6)
-    np.testing.assert_allclose(found.peak, mean / length, atol=3e-3)
+    clipped = clip_lobe(peak, exponent)
+    np.testing.assert_allclose(clipped.share, share, rtol=4e-3 if degrees < 90 else 2e-2, atol=1e-6)
+    np.testing.assert_allclose(clipped.peak, mean / length, atol=3e-3)
     # A cosine lobe's mean is (n + 1)/(n + 2) long.
-    np.testing.assert_allclose((found.exponent + 1) / (found.exponent + 2), length, atol=2e-3)
+    np.testing.assert_allclose((clipped.exponent + 1) / (clipped.exponent + 2), length, atol=2e-3)
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 31.0, 1e4])
 def test_along_the_normal_the_cosine_is_one_more_in_the_exponent(exponent):
-    found = clip_lobe([0, 0, 1], exponent)
-    np.testing.assert_allclose(found.exponent, exponent + 1, rtol=2e-3)
-    np.testing.assert_allclose(found.share, (exponent + 1) / (exponent + 2), rtol=1e-3)
-    np.testing.assert_allclose(found.peak, [0, 0, 1], atol=1e-6)
+    clipped = clip_lobe([0, 0, 1], exponent)
+    np.testing.assert_allclose(clipped.exponent, exponent + 1, rtol=2e-3)
+    np.testing.assert_allclose(clipped.share, (exponent + 1) / (exponent + 2), rtol=1e-3)
+    np.testing.assert_allclose(clipped.peak, [0, 0, 1], atol=1e-6)
 
 
 def test_a_sharp_lobe_above_the_horizon_is_weighed_by_its_cosine_and_stays():
-    found = clip_lobe(at(40), 5000)
-    np.testing.assert_allclose(found.share, np.cos(np.radians(40)), rtol=1e-3)
-    np.testing.assert_allclose(found.peak, at(40), atol=1e-3)
+    clipped = clip_lobe(at(40), 5000)
+    np.testing.assert_allclose(clipped.share, np.cos(np.radians(40)), rtol=1e-3)
+    np.testing.assert_allclose(clipped.peak, at(40), atol=1e-3)
 
 
 def test_below_the_horizon_little_is_left_and_none_of_it_comes_from_below():
     for degrees in (95, 120, 170, 180):
         for exponent in (0.0, 5.0, 200.0):
-            found = clip_lobe(at(degrees), exponent)
-            assert 0 <= found.share < 0.25
-            assert found.peak[2] >= 0
+            clipped = clip_lobe(at(degrees), exponent)
+            assert 0 <= clipped.share < 0.25
+            assert clipped.peak[2] >= 0
 
 
 def test_everything_is_finite_and_differentiable():
@@ -69,8 +69,8 @@ def test_everything_is_finite_and_differentiable():
         return jnp.concatenate([jnp.stack([share, sharpness]), moved])
 
     slopes = jax.jit(jax.vmap(jax.vmap(jax.jacobian(flat, (0, 1)), (None, 0)), (0, None)))
-    found = slopes(peaks, np.asarray([0, 1e-3, 20, 1e4, 1e9], np.float32))
-    assert all(np.isfinite(np.asarray(part)).all() for part in found)
+    gradients = slopes(peaks, np.asarray([0, 1e-3, 20, 1e4, 1e9], np.float32))
+    assert all(np.isfinite(np.asarray(part)).all() for part in gradients)
 
 
 def test_gradients_are_right(x64):

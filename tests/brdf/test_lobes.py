@@ -115,11 +115,11 @@ def test_any_lobe_is_its_formula_and_reciprocal(C, exponent, peak, diffuse, seed
     omega_i, omega_o = hemisphere(16, seed), hemisphere(16, seed + 1)
     with jax.enable_x64(True):
         brdf = lobe_sum(diffuse, [lobe(C, exponent, peak=peak)], jnp.float64)
-        found, swapped = (at(brdf, *pair, np.float64) for pair in ((omega_i, omega_o), (omega_o, omega_i)))
+        values, swapped = (at(brdf, *pair, np.float64) for pair in ((omega_i, omega_o), (omega_o, omega_i)))
     np.testing.assert_allclose(
-        found, lafortune(omega_i, omega_o, diffuse, [(np.array(C), exponent, peak)]), rtol=1e-9, atol=1e-300
+        values, lafortune(omega_i, omega_o, diffuse, [(np.array(C), exponent, peak)]), rtol=1e-9, atol=1e-300
     )
-    np.testing.assert_allclose(found, swapped, rtol=1e-9)
+    np.testing.assert_allclose(values, swapped, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

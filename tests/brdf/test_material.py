@@ -42,11 +42,11 @@ GREY = {
 def test_lobes_of_a_tint_become_grey_ones_that_reflect_the_same(name):
     weight = (constant([0.5, 1.0, 2.0]),)
     material = Material((Component(GREY[name], weight),), emission=np.ones(3, np.float32))
-    found = split_tint(material)
-    assert [component.brdf.channels for component in found.components] == [1] * len(found.components)
-    assert len(found.components) == 1 + bool(np.any(np.asarray(GREY[name].diffuse)))
-    np.testing.assert_array_equal(found.emission, material.emission)
-    np.testing.assert_allclose(_values(found), _values(material), rtol=1e-5)
+    split = split_tint(material)
+    assert [component.brdf.channels for component in split.components] == [1] * len(split.components)
+    assert len(split.components) == 1 + bool(np.any(np.asarray(GREY[name].diffuse)))
+    np.testing.assert_array_equal(split.emission, material.emission)
+    np.testing.assert_allclose(_values(split), _values(material), rtol=1e-5)
 
 
 @pytest.mark.parametrize(

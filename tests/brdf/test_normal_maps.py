@@ -37,14 +37,14 @@ def test_a_map_bends_towards_growing_u_and_v(shape):
     turn[:3, :3] = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
     turn[:3, 0] *= np.sign(np.linalg.det(turn[:3, :3]))
     surfaces = join([meshes.transformed(shape, turn)])
-    found = apply_normal_map(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.6, 0.0, 0.8))
+    along = apply_normal_map(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.6, 0.0, 0.8))
     across = apply_normal_map(surfaces.normals, surfaces.u_axes, surfaces.uv, _map(0.0, 0.6, 0.8))
     for face in surfaces.faces:
         (a, b, c), uv = surfaces.vertices[face], surfaces.uv[face]
         to_uv = np.stack([uv[1] - uv[0], uv[2] - uv[0]])
         s, t = (axis / np.linalg.norm(axis) for axis in np.linalg.solve(to_uv, np.stack([b - a, c - a])))
         normal = surfaces.normals[face[0]]
-        np.testing.assert_allclose(found[face[0]], 0.6 * s + 0.8 * normal, atol=1e-6)
+        np.testing.assert_allclose(along[face[0]], 0.6 * s + 0.8 * normal, atol=1e-6)
         np.testing.assert_allclose(across[face[0]], 0.6 * t + 0.8 * normal, atol=1e-6)
 
 
@@ -52,8 +52,8 @@ def test_mirrored_texture_coordinates_turn_v_not_the_normal():
     plane = jr.plane((1, 1), 2)
     assert plane.uv is not None
     mirrored = join([dataclasses.replace(plane, uv=plane.uv * [-1, 1])])
-    found = apply_normal_map(mirrored.normals, mirrored.u_axes, mirrored.uv, _map(0.48, 0.36, 0.8))
-    np.testing.assert_allclose(found, np.broadcast_to([-0.48, 0.8, -0.36], found.shape), atol=1e-6)
+    bent = apply_normal_map(mirrored.normals, mirrored.u_axes, mirrored.uv, _map(0.48, 0.36, 0.8))
+    np.testing.assert_allclose(bent, np.broadcast_to([-0.48, 0.8, -0.36], bent.shape), atol=1e-6)
 
 
 def _picture(mesh, material, folder, receivers="pixels") -> np.ndarray:
@@ -74,9 +74,9 @@ def test_a_tilted_map_is_a_mesh_with_tilted_normals(tmp_path, receivers):
     )
     normals = np.broadcast_to([0.36, 0.8, -0.48], plane.normals.shape)
     wanted = _picture(dataclasses.replace(plane, normals=normals), gloss, tmp_path / "2", receivers)
-    found = _picture(plane, _bumpy(gloss, _map(0.36, 0.48, 0.8)), tmp_path / "3", receivers)
-    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)
-    assert np.abs(found - flat).max() > 0.01
+    image = _picture(plane, _bumpy(gloss, _map(0.36, 0.48, 0.8)), tmp_path / "3", receivers)
+    np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-5)
+    assert np.abs(image - flat).max() > 0.01
 
 
 def test_slopes_that_face_away_from_the_eye_are_not_black(tmp_path):
@@ -102,5 +102,5 @@ def test_tangents_follow_u_where_asked():
 def test_isotropic_pictures_do_not_depend_on_tangents(tmp_path):
     plane, gloss = jr.plane((2, 2), 3), jr.phong(0.3, 0.4, 5.0)
     wanted = _picture(plane, gloss, tmp_path / "0")
-    found = _picture(dataclasses.replace(plane, uv_tangents=True), gloss, tmp_path / "1")
-    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)
+    image = _picture(dataclasses.replace(plane, uv_tangents=True), gloss, tmp_path / "1")
+    np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-5)

@@ -41,9 +41,9 @@ def test_look_up_is_exact_at_texel_centres(parametrisation):
     side = 9
     omega, inside = parametrisation.directions(side)
     maps = np.random.default_rng(0).normal(size=(2, 3, side, side)).astype(np.float32)
-    found = _look_up(parametrisation, maps, omega[inside].astype(np.float32))
+    values = _look_up(parametrisation, maps, omega[inside].astype(np.float32))
     expected = maps.reshape(2, 3, -1)[:, :, inside]
-    np.testing.assert_allclose(found, expected.transpose(2, 0, 1), atol=2e-4)
+    np.testing.assert_allclose(values, expected.transpose(2, 0, 1), atol=2e-4)
 
 
 @BOTH
@@ -66,8 +66,8 @@ def test_polar_look_ups_go_around_the_circle():
     maps = omega[:, 0].reshape(1, 1, side, side).astype(np.float32)
     azimuth = np.linspace(-0.2, 0.2, 41)
     around = np.stack([0.8 * np.sin(azimuth), 0.8 * np.cos(azimuth), np.full(41, 0.6)], axis=-1)
-    found = np.asarray(_look_up(POLAR, maps, around.astype(np.float32)))[:, 0, 0]
-    np.testing.assert_allclose(found, around[:, 0], atol=2e-3)
+    values = np.asarray(_look_up(POLAR, maps, around.astype(np.float32)))[:, 0, 0]
+    np.testing.assert_allclose(values, around[:, 0], atol=2e-3)
 
 
 @BOTH

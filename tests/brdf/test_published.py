@@ -77,8 +77,8 @@ def test_a_published_material_has_the_albedo_that_was_checked(x64, name):
     brdf = lobe_sum(material["diffuse"], lobes, jnp.float64)
     for degrees, expected in material["directional_albedo_checked"].items():
         angle = np.radians(float(degrees))
-        found = albedo(brdf, np.array([np.sin(angle), 0, np.cos(angle)]))
-        np.testing.assert_allclose(found, expected, atol=5e-3, err_msg=degrees)
+        reflectance = albedo(brdf, np.array([np.sin(angle), 0, np.cos(angle)]))
+        np.testing.assert_allclose(reflectance, expected, atol=5e-3, err_msg=degrees)
 
 
 def test_the_tightest_published_lobe_is_stable(tmp_path):

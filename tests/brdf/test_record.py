@@ -130,12 +130,12 @@ class Own(Brdf):
 def test_a_class_of_ones_own_comes_back():
     """Its long arrays stand elsewhere, beside those of the package's BRDFs; its values change the record."""
     own = Own(lambert(0.3), jnp.arange(3), np.ones(5000, np.float32), 2)
-    found: Any = round_trip(own, None)
-    assert type(found) is Own
-    assert type(found.base) is type(own.base)
-    assert (found.power, found.short.dtype) == (2, own.short.dtype)
+    restored: Any = round_trip(own, None)
+    assert type(restored) is Own
+    assert type(restored.base) is type(own.base)
+    assert (restored.power, restored.short.dtype) == (2, own.short.dtype)
     omega: Any = np.asarray([0.6, 0, 0.8], np.float32)
-    np.testing.assert_array_equal(found.evaluate(omega, omega), own.evaluate(omega, omega))
+    np.testing.assert_array_equal(restored.evaluate(omega, omega), own.evaluate(omega, omega))
     record = to_record(own, lambda array: f"table of {array.size}")
     assert record["arrays"]["table"] == {"layer": "table of 5000"}
     other = Own(lambert(0.3), jnp.arange(3), np.ones(5000, np.float32), 3)

@@ -31,8 +31,8 @@ def test_fixed_view_is_the_brdf_itself():
     omega_i, omega_o = OMEGA_I, OMEGA_O
     reflection = FixedView(BRDF, omega_o)
     assert (reflection.terms, reflection.channels) == (1, 3)
-    found = np.sum(np.asarray(reflection.light_side(omega_i)) * np.asarray(reflection.view_side(omega_o)), axis=0)
-    np.testing.assert_allclose(found, BRDF.evaluate(omega_i, omega_o), rtol=1e-6)
+    product = np.sum(np.asarray(reflection.light_side(omega_i)) * np.asarray(reflection.view_side(omega_o)), axis=0)
+    np.testing.assert_allclose(product, BRDF.evaluate(omega_i, omega_o), rtol=1e-6)
     assert reflection.light_side(omega_i).shape == (1, 3)
     np.testing.assert_array_equal(reflection.view_side(omega_i), [[1]])
 
@@ -71,8 +71,8 @@ def test_parameters_of_the_brdf_may_be_each_receivers_own():
     group = of_group(FixedView(shared, omega_o, own), 1)
     own, shared = eqx.partition(group, group.per_receiver)
     assert (group.terms, group.channels) == (1, 3)
-    found = np.asarray(light_sides(own, shared))
-    for value, n in zip(found, (4, 5, 6), strict=True):
+    sides = np.asarray(light_sides(own, shared))
+    for value, n in zip(sides, (4, 5, 6), strict=True):
         brdf = eqx.tree_at(lambda b: b.exponent, BRDF, jnp.asarray(np.full((1, 1), n, np.float32)))
         np.testing.assert_allclose(value[0], brdf.evaluate(OMEGA_I, OMEGA_O), rtol=1e-6)
 
@@ -85,8 +85,8 @@ def test_a_brdf_may_lead_with_receivers_as_a_whole():
     reflection = FixedView(nothing, omega_o, leading)
     assert reflection.channels == 3
     own, shared = eqx.partition(reflection, reflection.per_receiver)
-    found = np.asarray(light_sides(own, shared))
-    for value, brdf, view in zip(found, brdfs, np.asarray(omega_o), strict=True):
+    sides = np.asarray(light_sides(own, shared))
+    for value, brdf, view in zip(sides, brdfs, np.asarray(omega_o), strict=True):
         np.testing.assert_allclose(value[0], brdf.evaluate(OMEGA_I, view), rtol=1e-6)
 
 
@@ -99,8 +99,8 @@ def test_the_direction_of_anisotropy_may_be_each_receivers_own():
     omega_o = jnp.asarray(np.tile(np.asarray(OMEGA_O), (3, 1)))
     reflection = FixedView(brdf, omega_o, own)
     mine, shared = eqx.partition(reflection, reflection.per_receiver)
-    found = np.asarray(light_sides(mine, shared))
-    for value, turn in zip(found, np.asarray(turns), strict=True):
+    sides = np.asarray(light_sides(mine, shared))
+    for value, turn in zip(sides, np.asarray(turns), strict=True):
         wanted = lobe_sum(0.1, parts, turn=turn).evaluate(OMEGA_I, OMEGA_O)
         np.testing.assert_allclose(value[0], wanted, rtol=1e-5)
-    assert abs(float(found[0, 0, 0] - found[1, 0, 0])) > 1e-3
+    assert abs(float(sides[0, 0, 0] - sides[1, 0, 0])) > 1e-3

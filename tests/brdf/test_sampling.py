@@ -65,11 +65,11 @@ def _cells(brdf, omega_o):
 def test_densities_integrate_to_1_and_estimates_are_without_bias(kind, name):
     """The mean of f cosθ / pdf is the albedo by Gauss's rule, within five standard errors."""
     brdf = BRDFS[name]
-    density, _, _, found = (np.asarray(part, float) for part in _sampled(kind, brdf, sphere()))
+    density, _, _, estimates = (np.asarray(part, float) for part in _sampled(kind, brdf, sphere()))
     assert density.mean() * 4 * math.pi == pytest.approx(1, rel=5e-3)
-    error = found.std(axis=0) / math.sqrt(len(found))
-    assert np.isfinite(found).all()
-    assert (np.abs(found.mean(axis=0) - _albedo(name)) < 5 * error + 2e-3).all()
+    error = estimates.std(axis=0) / math.sqrt(len(estimates))
+    assert np.isfinite(estimates).all()
+    assert (np.abs(estimates.mean(axis=0) - _albedo(name)) < 5 * error + 2e-3).all()
     assert (error < 0.02).all()
 
 

@@ -37,8 +37,8 @@ def host(tree):
 def at(spatial, uv, footprint=0.0, minification="none"):
     """Lobes at texture coordinates, what they reflect, and the weights of the texels around."""
     lobes = spatial.packed(minification)
-    found = lobes.at(uv, footprint)
-    return found, found.evaluate(*OMEGA), lobes.around(uv, footprint)[1]
+    brdf = lobes.at(uv, footprint)
+    return brdf, brdf.evaluate(*OMEGA), lobes.around(uv, footprint)[1]
 
 
 def reflected(spatial, uv, footprint=0.0, minification="none") -> np.ndarray:
@@ -62,16 +62,16 @@ def of_texel(spatial, row: int, column: int) -> np.ndarray:
 def test_at_the_centre_of_a_texel_lie_its_own_parameters():
     spatial = host(maps())
     for row, column in ((0, 0), (1, 3), (2, 1)):
-        found = reflected(spatial, [(column + 0.5) / 4, 1 - (row + 0.5) / 3])
-        np.testing.assert_allclose(found, of_texel(spatial, row, column), rtol=2e-4)
+        value = reflected(spatial, [(column + 0.5) / 4, 1 - (row + 0.5) / 3])
+        np.testing.assert_allclose(value, of_texel(spatial, row, column), rtol=2e-4)
 
 
 def test_arrays_lead_with_the_coordinates():
     uv = np.random.default_rng(1).random((5, 2)).astype(np.float32)
-    found = maps().at(uv)
-    assert found.C.shape == (5, 2, 1, 3)
+    brdfs = maps().at(uv)
+    assert brdfs.C.shape == (5, 2, 1, 3)
     one, _, _ = at(maps(), uv[3], np.float32(0))
-    np.testing.assert_allclose(np.asarray(found.exponent)[3], one.exponent)
+    np.testing.assert_allclose(np.asarray(brdfs.exponent)[3], one.exponent)
 
 
 # Of two texels side by side, as arguments that need no conversion.
@@ -105,9 +105,9 @@ def test_directions_of_anisotropy_meet_the_shorter_way():
     spatial = maps(1, 2)
     angle = np.radians([85, -85])
     axis = np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1)[None].astype(np.float32)
-    found, _, _ = at(dataclasses.replace(spatial, axis=axis), MIDDLE, ALL)
-    assert found.turn is not None
-    np.testing.assert_allclose(abs(np.degrees(np.asarray(found.turn))), 90, atol=1e-3)
+    brdf, _, _ = at(dataclasses.replace(spatial, axis=axis), MIDDLE, ALL)
+    assert brdf.turn is not None
+    np.testing.assert_allclose(abs(np.degrees(np.asarray(brdf.turn))), 90, atol=1e-3)
 
 
 def test_gradients_are_finite_also_where_texels_cancel():

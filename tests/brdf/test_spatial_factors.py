@@ -84,8 +84,8 @@ def test_maps_of_one_lobe_have_the_factors_of_it():
     grey = np.zeros(1, np.float32), one.C[0, 0][:, None], one.exponent[0, 0][:, None], np.ones((1, 1), np.float32), turn
     plain = factor(LobeSum(*(jnp.asarray(part) for part in grey)), 3, SIDE)
     wanted = np.asarray(_plain_products(plain)) * one.scale[0, 0]
-    found = np.asarray(_products(factors, place(0, 1)))
-    np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max())
+    products = np.asarray(_products(factors, place(0, 1)))
+    np.testing.assert_allclose(products, wanted, atol=2e-3 * np.abs(wanted).max())
 
 
 @jax.jit

@@ -13,11 +13,11 @@ TABLE = np.random.default_rng(0).random((6, 5, 8, 3)) + 0.5
 def test_reciprocity_and_isotropy():
     brdf = Tabulated(jnp.asarray(TABLE, jnp.float32))
     i, o = hemisphere(200), hemisphere(200, 1)
-    found = at(brdf, i, o)
+    values = at(brdf, i, o)
     turn = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
-    np.testing.assert_allclose(at(brdf, o, i), found, rtol=1e-4)
-    np.testing.assert_allclose(at(brdf, i @ turn, o @ turn), found, rtol=1e-4)
-    assert found.std() > 0.05
+    np.testing.assert_allclose(at(brdf, o, i), values, rtol=1e-4)
+    np.testing.assert_allclose(at(brdf, i @ turn, o @ turn), values, rtol=1e-4)
+    assert values.std() > 0.05
 
 
 def test_gradients_are_right_and_finite(x64):

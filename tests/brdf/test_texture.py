@@ -111,17 +111,17 @@ def test_larger_footprints_see_coarser_levels(level):
     for number, share in ((lower, 1 - (level - lower)), (lower + 1, level - lower)):
         place = [(1 - uv[:, 1]) * 5 / 2**number - 0.5, uv[:, 0] * 7 / 2**number - 0.5]
         pixels = levels[number]
-        found = [ndimage.map_coordinates(pixels[..., c], place, order=1, mode="grid-wrap") for c in range(3)]
-        wanted += share * np.stack(found, axis=-1)
-    found = _look_up(texture, uv, np.full(50, 4.0**level / 35, np.float32))
-    np.testing.assert_allclose(found, wanted, atol=3e-5)
+        channels = [ndimage.map_coordinates(pixels[..., c], place, order=1, mode="grid-wrap") for c in range(3)]
+        wanted += share * np.stack(channels, axis=-1)
+    colours = _look_up(texture, uv, np.full(50, 4.0**level / 35, np.float32))
+    np.testing.assert_allclose(colours, wanted, atol=3e-5)
 
 
 def test_footprints_beyond_all_levels_see_the_last():
     texture = Texture(jnp.asarray(PIXELS)).minified()
     covered = np.resize(np.asarray([2, 1e9, np.inf], np.float32), 50)
-    found = np.asarray(_look_up(texture, np.tile(np.asarray([[0.3, 0.4]], np.float32), (50, 1)), covered))
-    np.testing.assert_allclose(found, np.broadcast_to(_levels(PIXELS)[-1][0, 0], (50, 3)), 1e-6)
+    colours = np.asarray(_look_up(texture, np.tile(np.asarray([[0.3, 0.4]], np.float32), (50, 1)), covered))
+    np.testing.assert_allclose(colours, np.broadcast_to(_levels(PIXELS)[-1][0, 0], (50, 3)), 1e-6)
 
 
 def test_gradients_reach_the_finest_pixels_through_all_levels():

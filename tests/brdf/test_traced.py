@@ -68,8 +68,8 @@ def test_traced_numbers_make_what_known_ones_make_and_have_its_derivatives(x64):
     slopes, made = jax.jit(jax.vmap(jax.grad(total, has_aux=True)))(dict.fromkeys(MADE, places))
     for name, make in MADE.items():
         for i, k in enumerate(places.tolist()):
-            for found, wanted in zip(jax.tree.leaves(made[name]), jax.tree.leaves(make(k)), strict=True):
-                np.testing.assert_allclose(found[i], wanted, rtol=1e-13, err_msg=name)
+            for traced, wanted in zip(jax.tree.leaves(made[name]), jax.tree.leaves(make(k)), strict=True):
+                np.testing.assert_allclose(traced[i], wanted, rtol=1e-13, err_msg=name)
             high, low = (content(jax.tree.map(np.asarray, make(k + by))) for by in (step, -step))
             assert slopes[name][i] == pytest.approx((high - low) / (2 * step), rel=1e-6), name
             assert slopes[name][i] != 0, name
@@ -142,12 +142,12 @@ def test_all_that_is_made_has_the_type_of_the_arrays_given(x64, dtype):
 
         def outcomes(brdf=brdf):
             cells = CellSampler(brdf, omega_o, 2, 4)
-            found = [brdf.evaluate(omega_i, omega_o), directional_albedo(brdf, omega_o, 2, 4)]
-            found += [cells.sample(key), cells.pdf(omega_i)]
+            results = [brdf.evaluate(omega_i, omega_o), directional_albedo(brdf, omega_o, 2, 4)]
+            results += [cells.sample(key), cells.pdf(omega_i)]
             if isinstance(brdf, LobeSum):
                 sampler = LobeSampler(brdf, omega_o)
-                found += [brdf.peak(omega_o), brdf.normal_albedo, sampler.sample(key), sampler.pdf(omega_i)]
-            return found
+                results += [brdf.peak(omega_o), brdf.normal_albedo, sampler.sample(key), sampler.pdf(omega_i)]
+            return results
 
         assert {leaf.dtype for leaf in jax.tree.leaves(jax.eval_shape(outcomes))} == {np.dtype(dtype)}, name
 

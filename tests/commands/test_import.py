@@ -18,8 +18,8 @@ class Dim(Punctual):
     lamp: Light
 
     def at(self, positions) -> Incident:
-        found = self.lamp.at(positions)
-        return found._replace(irradiance=found.irradiance / 2)
+        incident = self.lamp.at(positions)
+        return incident._replace(irradiance=incident.irradiance / 2)
 """
 ARGUMENTS = {
     "render": ("none.toml", "-o", "out.exr"),

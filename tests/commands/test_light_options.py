@@ -16,9 +16,9 @@ def test_layout_says_how_a_map_is_read(tmp_path):
     write_image(tmp_path / "sky.exr", pixels)
 
     def sky(**options) -> np.ndarray:
-        found = LightOptions(env=tmp_path / "sky.exr", **options).lights(Lights(), emits=False).environment
-        assert found is not None
-        return np.asarray(found.pixels)
+        env = LightOptions(env=tmp_path / "sky.exr", **options).lights(Lights(), emits=False).environment
+        assert env is not None
+        return np.asarray(env.pixels)
 
     assert sky().shape == (32, 64, 3)
     np.testing.assert_array_equal(sky(layout="latlong"), pixels.astype(np.float32))

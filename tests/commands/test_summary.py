@@ -29,17 +29,17 @@ def test_keys(run, folder, request, kind: str, arguments: list[str]):
     """Those of other lighting methods are compared where their pictures are tested."""
     if "made" in arguments:
         request.getfixturevalue("made")
-    found = summary_of(run(*arguments, "--json"))
-    assert keys_of(found) == KEYS[kind]
-    assert found["command"] == arguments[0]
-    assert found.get("kind", kind) == kind
+    summary = summary_of(run(*arguments, "--json"))
+    assert keys_of(summary) == KEYS[kind]
+    assert summary["command"] == arguments[0]
+    assert summary.get("kind", kind) == kind
 
 
 def test_keys_of_the_demo(folder, run, monkeypatch):
     small = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=8)
     monkeypatch.setattr("jaxrelight.commands.demo.Transport", lambda *_, **__: small)
-    found = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
-    assert keys_of(found) == KEYS["demo"]
+    summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
+    assert keys_of(summary) == KEYS["demo"]
 
 
 def test_every_key_is_documented():

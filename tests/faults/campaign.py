@@ -122,16 +122,16 @@ def run(all_cases: Sequence[Case], folder: Path, worker: Sequence[str] = WORKER)
     for number, case in enumerate(all_cases):
         paths.append(str(folder / f"{number:05d}{case.suffix}"))
         Path(paths[-1]).write_bytes(case.data)
-    found: dict[str, dict] = {}
-    while waiting := [path for path in paths if path not in found]:
-        found |= _loaded(waiting, worker)
+    outcomes: dict[str, dict] = {}
+    while waiting := [path for path in paths if path not in outcomes]:
+        outcomes |= _loaded(waiting, worker)
     sound = {
-        (case.suffix, case.name): found[path]
+        (case.suffix, case.name): outcomes[path]
         for case, path in zip(all_cases, paths, strict=True)
         if case.kind == "sound"
     }
     return [
-        _judged(case, found[path], sound.get((case.suffix, case.source), {}))
+        _judged(case, outcomes[path], sound.get((case.suffix, case.source), {}))
         for case, path in zip(all_cases, paths, strict=True)
     ]
 
@@ -140,39 +140,39 @@ def _loaded(paths: Sequence[str], worker: Sequence[str]) -> dict[str, dict]:
     """Outcomes up to the first file that ends the process, that one included."""
     done = subprocess.run(worker, input=json.dumps(paths), capture_output=True, text=True, cwd=ROOT, check=False)
     lines = done.stdout.splitlines()
-    found = {path: json.loads(line) for path, line in zip(lines[0::2], lines[1::2], strict=False)}
+    outcomes = {path: json.loads(line) for path, line in zip(lines[0::2], lines[1::2], strict=False)}
     if len(lines) % 2:
         hung = "Timeout" in done.stderr
         wrong = f"no end within {SECONDS} s" if hung else f"the process ended with {done.returncode}"
-        found[lines[-1]] = {"outcome": "hung" if hung else "crashed", "wrong": wrong}
-    elif done.returncode or not found:
+        outcomes[lines[-1]] = {"outcome": "hung" if hung else "crashed", "wrong": wrong}
+    elif done.returncode or not outcomes:
         raise RuntimeError(f"the worker failed by itself: {done.stderr[-2000:]}")
     elif done.stderr:
-        found[paths[len(found) - 1]] |= {"wrong": f"printed {done.stderr[-300:]!r} in this batch"}
-    return found
+        outcomes[paths[len(outcomes) - 1]] |= {"wrong": f"printed {done.stderr[-300:]!r} in this batch"}
+    return outcomes
 
 
-def _judged(case: Case, found: dict, sound: dict) -> Verdict:
-    end, wrong = found["outcome"], found["wrong"]
+def _judged(case: Case, outcome: dict, sound: dict) -> Verdict:
+    end, wrong = outcome["outcome"], outcome["wrong"]
     if end != "loaded" or wrong:
         if case.kind == "sound":
-            wrong = wrong or f"a sound file was refused: {found.get('message')}"
+            wrong = wrong or f"a sound file was refused: {outcome.get('message')}"
         return Verdict(case, end, wrong)
     if case.kind == "sound":
         return Verdict(case, "loaded")
-    if case.kind == "lying" and any(word in note for note in found["notes"] for word in ("ignored", "dropped")):
+    if case.kind == "lying" and any(word in note for note in outcome["notes"] for word in ("ignored", "dropped")):
         return Verdict(case, "loaded, reported")
     if case.kind == "lying":
-        return Verdict(case, "loaded", f"a header that lies was believed: {found['shape']}")
-    if found["digest"] == sound["digest"]:
+        return Verdict(case, "loaded", f"a header that lies was believed: {outcome['shape']}")
+    if outcome["digest"] == sound["digest"]:
         return Verdict(case, "the same")
     if case.kind == "cut":
-        if any("may be cut short" in note for note in found["notes"]):
+        if any("may be cut short" in note for note in outcome["notes"]):
             return Verdict(case, "loaded, reported")
         return Verdict(case, "loaded", "" if case.at_line_end else "a part was loaded as the whole")
-    if len(found["shape"]) == 1 and found["shape"] != sound["shape"]:
-        height, width, _ = found["shape"][0]
-        wrong = f"{found['shape']} instead of {sound['shape']}, and no header says so"
+    if len(outcome["shape"]) == 1 and outcome["shape"] != sound["shape"]:
+        height, width, _ = outcome["shape"][0]
+        wrong = f"{outcome['shape']} instead of {sound['shape']}, and no header says so"
         return Verdict(case, "another size", "" if _states(case, height, width) else wrong)
     return Verdict(case, "other data")
 

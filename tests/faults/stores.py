@@ -136,8 +136,8 @@ def damages_to(file: str, sound: Sound) -> Iterator[Damage]:
 
 def wrong(damages: Iterable[Damage], sound: Sound) -> list[str]:
     """Those that do not end as promised, and how."""
-    found = ((damage.name, wrong_with(damage, sound)) for damage in damages)
-    return [f"{name}: {fault}" for name, fault in found if fault]
+    outcomes = ((damage.name, wrong_with(damage, sound)) for damage in damages)
+    return [f"{name}: {fault}" for name, fault in outcomes if fault]
 
 
 def wrong_with(damage: Damage, sound: Sound) -> str:

@@ -70,9 +70,9 @@ def test_a_crash_and_a_hang_are_seen_and_cost_one_file(tmp_path):
     ]  # fmt: skip
 
 
-def _judged(case: Case, **found) -> str:
+def _judged(case: Case, **outcome) -> str:
     sound = {"outcome": "loaded", "digest": "a", "shape": [[2, 3, 3]], "notes": [], "wrong": ""}
-    return campaign._judged(case, sound | found, sound).wrong
+    return campaign._judged(case, sound | outcome, sound).wrong
 
 
 def test_what_is_wrong_is_called_so():
@@ -96,9 +96,9 @@ def odd(tmp_path_factory) -> dict[str, dict]:
     pipes = [str(folder / f"pipe{suffix}") for suffix in FORMATS] if hasattr(os, "mkfifo") else []
     for path in pipes:
         os.mkfifo(path)
-    found = campaign._loaded([str(large), *pipes], campaign.WORKER)
-    assert list(found) == [str(large), *pipes]
-    return found
+    outcomes = campaign._loaded([str(large), *pipes], campaign.WORKER)
+    assert list(outcomes) == [str(large), *pipes]
+    return outcomes
 
 
 def test_the_worker_limits_memory_and_judges_messages(odd, monkeypatch):
@@ -107,9 +107,9 @@ def test_the_worker_limits_memory_and_judges_messages(odd, monkeypatch):
     from tests.faults import worker
 
     path = next(iter(odd))
-    found = campaign._loaded([path], (*campaign.WORKER[:-1], "40"))[path]
-    assert "larger than the free memory" in found["message"]
-    assert found["wrong"] == "memory was taken before the file was refused"
+    outcome = campaign._loaded([path], (*campaign.WORKER[:-1], "40"))[path]
+    assert "larger than the free memory" in outcome["message"]
+    assert outcome["wrong"] == "memory was taken before the file was refused"
     assert odd[path]["outcome"] == "loaded"
 
     def raises(fault):

@@ -31,8 +31,8 @@ def loaded(path: Path) -> dict:
         wrong = pixels.dtype != np.float32 or pixels.ndim != 3 or pixels.shape[2] not in (3, 4) or not pixels.size
         return _told([pixels], (), "not an image" if wrong else "")
     if path.suffix == ".bsdf":
-        found = load_brdf(path)
-        return _told_brdf([np.asarray(array) for array in jax.tree.leaves(found.brdf)], found.notes)
+        measured = load_brdf(path)
+        return _told_brdf([np.asarray(array) for array in jax.tree.leaves(measured.brdf)], measured.notes)
     if path.suffix == ".brdf":  # without the interpolation, which would take a second for each
         pairs = read_pairs(Content(path))
         return _told_brdf([pairs.omega_i, pairs.omega_o, pairs.values], pairs.notes)
@@ -87,9 +87,9 @@ def main():
     for path in paths:
         print(path, flush=True)
         faulthandler.dump_traceback_later(seconds, exit=True)
-        found = outcome(Path(path))
+        result = outcome(Path(path))
         faulthandler.cancel_dump_traceback_later()
-        print(json.dumps(found), flush=True)
+        print(json.dumps(result), flush=True)
 
 
 def _warm_up():

@@ -21,10 +21,10 @@ ARRAYS = {
 )
 def test_round_trip_keeps_every_bit(array):
     content = encode_arrays("x", {"a": array, "b": array.T})
-    found = decode_arrays("x", content)
+    decoded = decode_arrays("x", content)
     for name, wanted in (("a", array), ("b", array.T)):
-        assert (found[name].dtype, found[name].shape) == (wanted.dtype, wanted.shape)
-        assert found[name].tobytes() == wanted.tobytes()
+        assert (decoded[name].dtype, decoded[name].shape) == (wanted.dtype, wanted.shape)
+        assert decoded[name].tobytes() == wanted.tobytes()
     assert content == encode_arrays("x", {"a": array, "b": array.T})
 
 

@@ -36,18 +36,18 @@ class Outer(eqx.Module):
 
 def back(module) -> Any:
     fields, arrays = to_fields(module, "it")
-    found = find_class(qualified_name(type(module)), eqx.Module, "it")
-    return from_fields(found, json.loads(json.dumps(fields)), arrays.__getitem__, "it")
+    cls = find_class(qualified_name(type(module)), eqx.Module, "it")
+    return from_fields(cls, json.loads(json.dumps(fields)), arrays.__getitem__, "it")
 
 
 def test_all_that_a_field_may_hold_comes_back(x64):
     leaves = [np.float32(1.5), np.float64(1 / 3), np.arange(3), np.array([True, False]), jnp.ones((2, 0))]
     inner = Inner({"a.b": jnp.asarray(1.0), "a": {"b": np.arange(2.0)}}, "soft")
     given = Outer((leaves, inner, None, 3, 0.1, "text", True, {}), (1, (2.5, "x"), None, 4))
-    found = back(given)
-    assert jax.tree.structure(found) == jax.tree.structure(given)
-    assert found.fixed == (1, (2.5, "x"), None, 4)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(given), strict=True):
+    restored = back(given)
+    assert jax.tree.structure(restored) == jax.tree.structure(given)
+    assert restored.fixed == (1, (2.5, "x"), None, 4)
+    for one, other in zip(jax.tree.leaves(restored), jax.tree.leaves(given), strict=True):
         np.testing.assert_array_equal(one, other)
         assert np.asarray(one).dtype == np.asarray(other).dtype
 

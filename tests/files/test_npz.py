@@ -14,11 +14,11 @@ from jaxrelight.files.npz import read_npz
 def test_arrays_come_back_with_their_types(tmp_path):
     arrays = {"a": np.arange(6, dtype=np.uint16).reshape(2, 3), "b": np.float32(2.5), "c": np.zeros((0, 3))}
     np.savez_compressed(tmp_path / "a.npz", **arrays)
-    found = read_npz(tmp_path / "a.npz", "arrays", "abc")
-    assert found.keys() == arrays.keys()
+    restored = read_npz(tmp_path / "a.npz", "arrays", "abc")
+    assert restored.keys() == arrays.keys()
     for name, array in arrays.items():
-        assert found[name].dtype == np.asarray(array).dtype
-        np.testing.assert_array_equal(found[name], array)
+        assert restored[name].dtype == np.asarray(array).dtype
+        np.testing.assert_array_equal(restored[name], array)
 
 
 def test_every_cut_and_every_flipped_bit_is_told(tmp_path):
@@ -32,10 +32,10 @@ def test_every_cut_and_every_flipped_bit_is_told(tmp_path):
             read_npz(path, "arrays", "a")
     for place in range(0, len(whole), 3):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 16]) + whole[place + 1 :])
-        found = {}
+        restored = {}
         with contextlib.suppress(InputError):
-            found = read_npz(path, "arrays", "a")
-        np.testing.assert_array_equal(found.get("a", np.arange(20.0)), np.arange(20.0))
+            restored = read_npz(path, "arrays", "a")
+        np.testing.assert_array_equal(restored.get("a", np.arange(20.0)), np.arange(20.0))
 
 
 def _with_header(path, shape: str, descr: str = "<f8"):

@@ -87,15 +87,15 @@ def test_key_is_the_same_in_another_process():
     """No hash that Python seeds anew may enter it."""
     code = "import numpy as np; from jaxrelight.files import store; "
     code += "print(store.key_of({'b': np.arange(3), 'a': ['x', 1.5]}))"
-    found = {
+    keys = {
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={"PYTHONHASHSEED": seed},
             cwd=pathlib.Path(__file__).parents[2],
         ).stdout.strip()
         for seed in ("1", "2")
     }  # fmt: skip
-    assert found == {store.key_of({"a": ["x", 1.5], "b": np.arange(3)})}
-    assert all(len(key) == 16 and int(key, 16) >= 0 for key in found)
+    assert keys == {store.key_of({"a": ["x", 1.5], "b": np.arange(3)})}
+    assert all(len(key) == 16 and int(key, 16) >= 0 for key in keys)
 
 
 def test_layer_gives_back_what_was_written(tmp_path):
@@ -104,9 +104,9 @@ def test_layer_gives_back_what_was_written(tmp_path):
     assert layer.missing == []
     for group in range(GROUPS):
         for name, expected in _part(group).items():
-            found = layer.read(name, group)
-            assert found.dtype == expected.dtype
-            np.testing.assert_array_equal(found, expected)
+            array = layer.read(name, group)
+            assert array.dtype == expected.dtype
+            np.testing.assert_array_equal(array, expected)
     for name, together in layer.read_all().items():
         np.testing.assert_array_equal(together, np.stack([_part(group)[name] for group in range(GROUPS)]))
         np.testing.assert_array_equal(together, layer.read(name))
@@ -344,9 +344,9 @@ def test_header_round_trip(tmp_path):
 def test_bad_header_is_refused(tmp_path, content, message: str):
     if content is not None:
         (tmp_path / "store.json").write_bytes(content)
-    found = _refused(store.read_header, tmp_path)
-    assert message in found
-    assert str(tmp_path) in found
+    refusal = _refused(store.read_header, tmp_path)
+    assert message in refusal
+    assert str(tmp_path) in refusal
 
 
 def test_header_is_replaced_whole(tmp_path, monkeypatch):

@@ -86,8 +86,8 @@ def scipy_fit(omega_i, omega_o, values, root_weight, starts, lobes: int = 1) -> 
 
     low = np.tile([-20.0, np.log(EXPONENTS[0])], lobes)
     high = np.tile([20.0, np.log(EXPONENTS[1])], lobes)
-    found = [
+    fits = [
         scipy.optimize.least_squares(residual, np.ravel(start), bounds=(low, high), xtol=1e-9, ftol=1e-9, max_nfev=99)
         for start in starts
     ]
-    return min(2 * one.cost for one in found)
+    return min(2 * one.cost for one in fits)

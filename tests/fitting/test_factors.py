@@ -28,10 +28,10 @@ def _found() -> Refined:
 
 
 def test_refining_lowers_the_error_of_look_ups_on_other_directions():
-    found = _found()
-    assert found.after < 0.97 * found.before
-    assert found.factors.light_maps.shape == _start().light_maps.shape
-    assert 0 < found.steps <= 60
+    refinement = _found()
+    assert refinement.after < 0.97 * refinement.before
+    assert refinement.factors.light_maps.shape == _start().light_maps.shape
+    assert 0 < refinement.steps <= 60
 
 
 @pytest.mark.slow
@@ -41,9 +41,9 @@ def test_maps_that_are_wrong_are_brought_near_the_best():
     best = factor(brdf, 3, 10)
     noise = np.random.default_rng(0).normal(0, 0.1, (2, *best.light_maps.shape))
     start = Factored(best.light_maps + jnp.asarray(noise[0], jnp.float32), best.view_maps, DISC)
-    found, reached = refined(brdf, start, steps=200), refined(brdf, best)
-    assert found.before > 1.1 * reached.after
-    assert found.after < 1.01 * reached.after
+    recovered, reached = refined(brdf, start, steps=200), refined(brdf, best)
+    assert recovered.before > 1.1 * reached.after
+    assert recovered.after < 1.01 * reached.after
 
 
 def test_the_same_seed_gives_the_same_and_a_constant_stays_as_it_is():

@@ -109,8 +109,8 @@ def test_weights_are_those_documented(name):
         "log-cosine": lambda f: np.log1p(f * cosine / typical),
     }
     expected = np.square((compress[name](changed) - compress[name](mean)) / (changed - mean))
-    found = weights(name, samples)
-    np.testing.assert_allclose(found / found[0], expected / expected[0], rtol=1e-3)
+    weight = weights(name, samples)
+    np.testing.assert_allclose(weight / weight[0], expected / expected[0], rtol=1e-3)
 
 
 def test_the_grid_keeps_unit_directions_above_the_horizon():

@@ -32,9 +32,9 @@ def test_a_lambertian_ball_with_attached_shadows_is_found_exactly():
     normals, mask = _ball()
     shading = np.maximum(normals @ _lights().T, 0)
     images = np.moveaxis(shading, -1, 0)[..., None] * [0.5, 0.2, 0.7]
-    found = estimated_normals(stack_of(images, _lights(), mask=mask))
-    assert _apart(found, normals)[mask].max() < 0.2
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, atol=1e-6)
+    estimated = estimated_normals(stack_of(images, _lights(), mask=mask))
+    assert _apart(estimated, normals)[mask].max() < 0.2
+    np.testing.assert_allclose(np.linalg.norm(estimated, axis=-1), 1, atol=1e-6)
 
 
 def test_highlights_and_cast_shadows_do_little_harm():
@@ -44,8 +44,8 @@ def test_highlights_and_cast_shadows_do_little_harm():
     mirror = 2 * shading[..., None] * normals[..., None, :] - _lights()
     shading = 0.4 * shading + np.maximum(mirror[..., 2], 0) ** 40
     shading[rng.random(shading.shape) < 0.08] = 0
-    found = estimated_normals(stack_of(np.moveaxis(shading, -1, 0)[..., None] * np.ones(3), _lights(), mask=mask))
-    assert np.median(_apart(found, normals)[mask]) < 3
+    estimated = estimated_normals(stack_of(np.moveaxis(shading, -1, 0)[..., None] * np.ones(3), _lights(), mask=mask))
+    assert np.median(_apart(estimated, normals)[mask]) < 3
 
 
 def test_pixels_of_which_nothing_can_be_said_face_the_camera():
@@ -55,8 +55,8 @@ def test_pixels_of_which_nothing_can_be_said_face_the_camera():
     images[:, 12, 12] = 0
     images[:, 12, 13] = 0.5 * _lights()[:, 2:]
     images[:3, 13, 12] = 0.3 * _lights()[:3, 2:]
-    found = estimated_normals(stack_of(images, _lights(), mask=mask))
-    np.testing.assert_allclose(found, np.broadcast_to([0, 0, 1], normals.shape), atol=1e-3)
+    estimated = estimated_normals(stack_of(images, _lights(), mask=mask))
+    np.testing.assert_allclose(estimated, np.broadcast_to([0, 0, 1], normals.shape), atol=1e-3)
 
 
 def test_a_real_ball_of_known_normals():

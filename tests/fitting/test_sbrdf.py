@@ -72,9 +72,9 @@ def test_images_held_out_are_predicted_to_the_noise_and_better_than_by_lambert()
     held = np.arange(60) % 6 == 3
     seen, unseen = stack.of(~held), stack.of(held)
     fit = fit_sbrdf(seen)
-    found = relative_error(predicted(fit.level, unseen), unseen)
-    assert found < 0.04
-    assert found < 0.3 * relative_error(predicted(lambert_only(seen, fit.level.normals), unseen), unseen)
+    error = relative_error(predicted(fit.level, unseen), unseen)
+    assert error < 0.04
+    assert error < 0.3 * relative_error(predicted(lambert_only(seen, fit.level.normals), unseen), unseen)
 
 
 def test_bad_texels_are_flagged_and_leave_the_others_as_they_are():
@@ -88,8 +88,8 @@ def test_bad_texels_are_flagged_and_leave_the_others_as_they_are():
     assert bad.level.flag[1, 1] == Verdict.BLACK
     same = np.ones((SIZE, SIZE), bool)
     same[0, 0] = same[1, 1] = False
-    for found, wanted in zip(*map(jax.tree.leaves, (bad.level.lobes, good.level.lobes)), strict=True):
-        np.testing.assert_array_equal(np.asarray(found)[same], np.asarray(wanted)[same])
+    for leaf, wanted in zip(*map(jax.tree.leaves, (bad.level.lobes, good.level.lobes)), strict=True):
+        np.testing.assert_array_equal(np.asarray(leaf)[same], np.asarray(wanted)[same])
     assert all(np.isfinite(array).all() for array in jax.tree.leaves(bad.level.lobes))
 
 
@@ -142,8 +142,8 @@ def test_the_lowest_of_some_angles_is_found_between_them():
     truth = np.array([0.3, 1.4, 0.0, 1.56])
     apart = np.sin(angles - truth[:, None])
     residuals = np.sqrt(0.1 + np.minimum(apart**2, np.cos(angles - truth[:, None]) ** 2))
-    found = sbrdf._lowest(angles, residuals)
-    difference = (found - truth + np.pi / 4) % (np.pi / 2) - np.pi / 4
+    lowest = sbrdf._lowest(angles, residuals)
+    difference = (lowest - truth + np.pi / 4) % (np.pi / 2) - np.pi / 4
     assert np.abs(difference).max() < np.radians(4)
 
 
@@ -183,8 +183,8 @@ def test_photographs_held_out_are_predicted_better_than_by_lambert(name, every):
     seen, unseen = stack.of(~held), stack.of(held)
     fit = fit_sbrdf(seen)
     levels = fit.level, lambert_only(seen, fit.level.normals)
-    found, lambert = (relative_error(predicted(level, unseen), unseen) for level in levels)
-    assert found < (0.7 if name == "diligent_ball" else 1) * lambert
+    fitted, lambert = (relative_error(predicted(level, unseen), unseen) for level in levels)
+    assert fitted < (0.7 if name == "diligent_ball" else 1) * lambert
 
 
 def test_peaks_that_no_sample_comes_near_are_told():

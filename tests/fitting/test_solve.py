@@ -215,8 +215,8 @@ def optimum(omega_i, omega_o, values):
 @jax.jit
 def pulled_back(omega_i, omega_o, values, cotangents):
     """The optimum, and what its differentials say of the values."""
-    found, pull = jax.vjp(lambda values: optimum(omega_i, omega_o, values), values)
-    return found, pull(cotangents)[0]
+    solution, pull = jax.vjp(lambda values: optimum(omega_i, omega_o, values), values)
+    return solution, pull(cotangents)[0]
 
 
 def test_the_optimum_moves_with_the_samples_as_its_gradient_says(x64):

@@ -38,10 +38,10 @@ def test_non_negative_least_squares_is_that_of_scipy(x64, m):
 
 def test_columns_of_zeros_get_nothing_and_equal_ones_what_they_have_in_common():
     G = np.array([[0, 1, 1], [0, 2, 2], [0, 1, 1]], np.float32)
-    found = np.asarray(jax.jit(solve_non_negative)(G.T @ G, G.T @ np.array([2, 4, 2], np.float32)))
-    assert found[0] == 0
-    assert (found >= 0).all()
-    np.testing.assert_allclose(found.sum(), 2, rtol=1e-4)
+    solution = np.asarray(jax.jit(solve_non_negative)(G.T @ G, G.T @ np.array([2, 4, 2], np.float32)))
+    assert solution[0] == 0
+    assert (solution >= 0).all()
+    np.testing.assert_allclose(solution.sum(), 2, rtol=1e-4)
 
 
 @functools.partial(jax.jit, static_argnames="anisotropic")
@@ -73,8 +73,8 @@ def _near_and_far(C, exponent, anisotropic: bool):
 @pytest.mark.parametrize("anisotropic", [False, True])
 def test_a_chart_starts_at_its_lobes_and_stays_within_bounds(x64, anisotropic):
     C, n = np.array([[-1.0, -1.0, 0.9], [0.2, 0.2, -1.0]]), np.array([20.0, 3.0])
-    (found, exponent), (far, extreme) = jax.tree.map(np.asarray, _near_and_far(C, n, anisotropic))
-    np.testing.assert_allclose(found, C, atol=1e-12)
+    (near, exponent), (far, extreme) = jax.tree.map(np.asarray, _near_and_far(C, n, anisotropic))
+    np.testing.assert_allclose(near, C, atol=1e-12)
     np.testing.assert_allclose(exponent, n, rtol=1e-9)
     assert (extreme <= EXPONENTS[1] * (1 + 1e-9)).all()
     np.testing.assert_allclose(np.abs(far).max(axis=-1), 1)
@@ -84,6 +84,6 @@ def test_a_chart_starts_at_its_lobes_and_stays_within_bounds(x64, anisotropic):
 
 @pytest.mark.parametrize("name", fitting.__all__)
 def test_public_name_loads(name):
-    found = getattr(fitting, name)
-    assert found.__doc__
+    member = getattr(fitting, name)
+    assert member.__doc__
     assert name in (fitting.__doc__ or "")

@@ -54,8 +54,8 @@ def test_a_square_overhead():
     """The form factor of a parallel square, from a point below its middle (Howell's catalogue, B-3, four times)."""
     surfaces = join([raised(inside_out(jr.plane((2, 2), 8)), 1.0), raised(jr.plane((0.1, 0.1), 1), -1)])
     place = surfaces.to_scene([[0, 0.3, 0], [0, -0.4, 0]])
-    found = gathered(surfaces, 4096, place)
-    for y, value in zip((0.3, -0.4), found, strict=True):
+    form_factors = gathered(surfaces, 4096, place)
+    for y, value in zip((0.3, -0.4), form_factors, strict=True):
         x = 1 / (1 - y)
         root = np.sqrt(1 + x * x)
         wanted = 4 / (2 * np.pi) * 2 * (x / root) * np.arctan(x / root)
@@ -68,10 +68,10 @@ def test_a_closed_room_gives_all_around(threshold):
     surfaces = join([inside()])
     random = np.random.default_rng(0)
     places = np.column_stack([random.uniform(-0.9, 0.9, 64), np.full(64, -1.0), random.uniform(-0.9, 0.9, 64)])
-    found = gathered(surfaces, 4096, places, threshold=threshold)
-    np.testing.assert_allclose(found, 1, atol=0.1)
-    assert abs(found.mean() - 1) < 0.01
-    assert found.max() <= 1 + 1e-5
+    form_factors = gathered(surfaces, 4096, places, threshold=threshold)
+    np.testing.assert_allclose(form_factors, 1, atol=0.1)
+    assert abs(form_factors.mean() - 1) < 0.01
+    assert form_factors.max() <= 1 + 1e-5
 
 
 def test_along_edges_energy_is_kept_better_than_by_the_clamp():
@@ -108,11 +108,11 @@ def test_rows_are_those_of_every_part_when_nothing_is_taken_together():
     ((columns, rows, _),) = gather.rows(upwards(place), 0, np.tile(FRAME, (2, 1, 1)), [white(2)])
     whole = np.zeros((2, 256))
     whole[:, columns] = rows[:, 0, 0]
-    found = np.asarray(HaarFaces(16, 1).decode(jax.device_put(whole.astype(np.float32))))
+    kernels = np.asarray(HaarFaces(16, 1).decode(jax.device_put(whole.astype(np.float32))))
     for receiver in range(2):
         wanted = kernel_at_parts(cloud, tracer, place[receiver], np.array([0.0, 1, 0]))
         assert (wanted == 0).any()
-        np.testing.assert_allclose(found[receiver], wanted, atol=1e-6)
+        np.testing.assert_allclose(kernels[receiver], wanted, atol=1e-6)
 
 
 def test_far_points_are_taken_together():

@@ -70,5 +70,5 @@ def test_area_at_an_edge_is_what_the_surface_has_there():
     gather = PhotonGather(gather_cloud(surfaces, 4096), surfaces, Tracer(surfaces), lambda *_: np.ones(3), 1, 1)
     places = surfaces.to_scene(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0, 1]]))
     radius = 0.3
-    found = gather._areas(places, np.tile([0.0, 1, 0], (3, 1)), np.full(3, radius))
-    np.testing.assert_allclose(found / (np.pi * radius**2), [1, 0.5, 0.25], rtol=0.08)
+    areas = gather._areas(places, np.tile([0.0, 1, 0], (3, 1)), np.full(3, radius))
+    np.testing.assert_allclose(areas / (np.pi * radius**2), [1, 0.5, 0.25], rtol=0.08)

@@ -19,9 +19,9 @@ def curvature_of(mesh):
 
 @pytest.mark.parametrize("radius", [0.5, 1.3])
 def test_of_a_sphere_it_is_one_over_its_radius(radius: float):
-    found = curvature_of(sphere(radius, 64))
-    np.testing.assert_allclose(np.median(found), 1 / radius, rtol=0.03)
-    assert found.max() < 2 / radius
+    curvatures = curvature_of(sphere(radius, 64))
+    np.testing.assert_allclose(np.median(curvatures), 1 / radius, rtol=0.03)
+    assert curvatures.max() < 2 / radius
 
 
 def test_of_planes_and_their_edges_it_is_nothing():

@@ -127,8 +127,8 @@ def test_face_normals_are_weighted_by_area_and_fall_back_to_the_shading_normal()
     normals = np.tile([0.0, 0, 1], (5, 1))
     surfaces = join([Mesh(vertices, faces, normals)])
     receivers = vertex_receivers(surfaces, np.array([0]))
-    found = receivers.face_normals.reshape(-1, 3)[receivers.slot_of]
-    np.testing.assert_allclose(found[0], np.array([1, 2, 0]) / 5**0.5, atol=1e-12)
-    np.testing.assert_allclose(found[1], [0, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(found[3], [1, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(found[4], [0, 0, 1], atol=1e-12)
+    face_normals = receivers.face_normals.reshape(-1, 3)[receivers.slot_of]
+    np.testing.assert_allclose(face_normals[0], np.array([1, 2, 0]) / 5**0.5, atol=1e-12)
+    np.testing.assert_allclose(face_normals[1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(face_normals[3], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(face_normals[4], [0, 0, 1], atol=1e-12)

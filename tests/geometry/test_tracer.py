@@ -110,11 +110,11 @@ def test_occlusion_by_a_sphere_is_the_analytic_one():
     distance = np.linalg.norm(to_centre - along[:, None] * directions, axis=-1)
     sure = (along < 0) | (distance < inner.min()) | (distance > outer)
     expected = (along > 0) & (distance < outer)
-    found = Tracer(surfaces).occluded(origins, directions)
-    assert found.dtype == bool
+    occluded = Tracer(surfaces).occluded(origins, directions)
+    assert occluded.dtype == bool
     assert 0.05 < expected.mean() < 0.95
     assert sure.mean() > 0.95
-    np.testing.assert_array_equal(found[sure], expected[sure])
+    np.testing.assert_array_equal(occluded[sure], expected[sure])
 
 
 def test_first_hits_give_the_nearest_face_and_the_point_on_it():
@@ -127,8 +127,8 @@ def test_first_hits_give_the_nearest_face_and_the_point_on_it():
     face, weights = Tracer(surfaces).first_hits(scene(origins), directions)
     assert (face >= 0).all()
     np.testing.assert_allclose(weights.sum(axis=-1), 1, atol=1e-6)
-    found = np.einsum("pk,pkx->px", weights, surfaces.vertices[surfaces.faces[face]])
-    np.testing.assert_allclose(found, scene(targets), atol=1e-6)
+    points = np.einsum("pk,pkx->px", weights, surfaces.vertices[surfaces.faces[face]])
+    np.testing.assert_allclose(points, scene(targets), atol=1e-6)
     np.testing.assert_array_equal(face >= len(lower.faces), [True, True, False, False])
 
 
@@ -176,8 +176,8 @@ def test_answers_do_not_depend_on_threads():
     rays = [(np.random.default_rng(i).uniform(-1, 1, (500, 3)), random_directions(500, i)) for i in range(8)]
     expected = [tracer.occluded(*pair) for pair in rays]
     with concurrent.futures.ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda pair: tracer.occluded(*pair), rays))
-    np.testing.assert_array_equal(found, expected)
+        occluded = list(pool.map(lambda pair: tracer.occluded(*pair), rays))
+    np.testing.assert_array_equal(occluded, expected)
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-3, 0), (1e6, 0), (1, 1e6), (1e-3, 10.0)])

@@ -78,7 +78,7 @@ class Part:
         height, width = self.size
         if not self.tile:
             return [self._line(row) for row in range(height)]
-        found, level = [], 0
+        packed, level = [], 0
         while True:
             h, w = max(height >> level, 1), max(width >> level, 1)
             planes = [self.planes[name] for name in sorted(self.planes)]
@@ -88,9 +88,9 @@ class Part:
                     rows = range(j * self.tile, min((j + 1) * self.tile, h))
                     columns = slice(i * self.tile, (i + 1) * self.tile)
                     pixels = b"".join(plane[row, columns].tobytes() for row in rows for plane in planes)
-                    found.append(struct.pack("<5i", i, j, level, level, len(pixels)) + pixels)
+                    packed.append(struct.pack("<5i", i, j, level, level, len(pixels)) + pixels)
             if not self.mipmap or max(h, w) == 1:
-                return found
+                return packed
             level += 1
 
     def _sampling(self, name: str) -> tuple[int, int]:

@@ -359,8 +359,8 @@ def test_parts_of_several_sizes_come_back_by_name(path):
         for i, size in enumerate(sizes)
     ]
     write_channels(path, parts)
-    found = read_channels(path, 100)
-    for (_, written), back in zip(parts, found, strict=True):
+    restored = read_channels(path, 100)
+    for (_, written), back in zip(parts, restored, strict=True):
         assert back.keys() == written.keys()
         for name, plane in written.items():
             np.testing.assert_array_equal(back[name], plane)

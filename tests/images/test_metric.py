@@ -22,8 +22,8 @@ def test_numbers_are_those_of_the_reference_script(pair):
     script = [sys.executable, str(shared("reference", "image_error.py")), str(ours), str(reference), "1"]
     printed = subprocess.run(script, capture_output=True, text=True, check=False).stdout
     expected = [float(number) for number in re.findall(r"\d+\.\d{4}", printed)]
-    found = image_error(read_image(ours), read_image(reference))
-    assert [round(x, 4) for x in (found.trimmed, found.untrimmed, found.mean_ratio)] == expected
+    error = image_error(read_image(ours), read_image(reference))
+    assert [round(x, 4) for x in (error.trimmed, error.untrimmed, error.mean_ratio)] == expected
 
 
 def test_equal_images_have_no_error():

@@ -10,9 +10,9 @@ ACES = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.0770, 0.32168, 0.33767)
 
 
 def matrix(chromaticities) -> np.ndarray:
-    found = to_rec709(chromaticities)
-    assert found is not None
-    return found
+    conversion = to_rec709(chromaticities)
+    assert conversion is not None
+    return conversion
 
 
 def test_published_matrices():

@@ -51,10 +51,10 @@ def test_nothing_leaks_across_edges():
 def test_where_nothing_is_seen_there_is_nothing():
     coarse, fine, nearest = seen([upright(0.8, 0)])
     assert (nearest[~fine.covered] == -1).all()
-    found = np.asarray(joined(jnp.zeros((32, 40, 3)), jnp.ones((16, 20, 3)), jnp.asarray(nearest)))
+    image = np.asarray(joined(jnp.zeros((32, 40, 3)), jnp.ones((16, 20, 3)), jnp.asarray(nearest)))
     share = fine.covered.reshape(16, 2, 20, 2).mean(axis=(1, 3))
-    np.testing.assert_allclose(found[..., 0], share * (found[..., 0] > 0), atol=1e-6)
-    assert (found[coarse.covered] > 0).all()
+    np.testing.assert_allclose(image[..., 0], share * (image[..., 0] > 0), atol=1e-6)
+    assert (image[coarse.covered] > 0).all()
 
 
 def test_more_samples_a_pixel():

@@ -213,11 +213,11 @@ def test_many_lights_are_shaded_in_one_batch(relighter, traced_once):
     others = [jr.environment(turned), dim], [environment.with_(scale=2.0), dim]
     several = [lit, *map(relighter.light, others)]
     stacked = jax.tree.map(lambda *each: jnp.stack(each), *several)
-    found = jax.vmap(lambda lit: relighter.shade(lit, view, traced).radiance)(stacked)
-    np.testing.assert_allclose(found[0], image, rtol=1e-4, atol=1e-5)
-    for one, each in zip(found, several, strict=True):
+    images = jax.vmap(lambda lit: relighter.shade(lit, view, traced).radiance)(stacked)
+    np.testing.assert_allclose(images[0], image, rtol=1e-4, atol=1e-5)
+    for one, each in zip(images, several, strict=True):
         np.testing.assert_allclose(one, relighter.shade(each, view, traced).radiance, rtol=1e-4, atol=1e-5)
-    assert np.abs(found[1] - found[2]).max() > 0.1
+    assert np.abs(images[1] - images[2]).max() > 0.1
 
 
 # One plane by four methods.
@@ -248,9 +248,9 @@ def planes(tmp_path_factory) -> dict[str, jr.Relighter]:
 
 @pytest.mark.parametrize("name", FLAT)
 def test_lambert_under_a_constant_sky_is_albedo_times_radiance(name, planes):
-    found = planes[name].picture(jr.environment(np.ones((8, 16, 3)), 70.0, 10.0))
-    assert (found[..., 3] == 1).all()
-    np.testing.assert_allclose(found[..., :3], np.broadcast_to(10 * ALBEDO, (5, 6, 3)), rtol=1e-3)
+    image = planes[name].picture(jr.environment(np.ones((8, 16, 3)), 70.0, 10.0))
+    assert (image[..., 3] == 1).all()
+    np.testing.assert_allclose(image[..., :3], np.broadcast_to(10 * ALBEDO, (5, 6, 3)), rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", FLAT)
@@ -265,5 +265,5 @@ def test_all_methods_give_the_same_under_a_sky_that_is_turned_and_scaled(name, p
     # Counter-clockwise seen from +y.
     towards, area = latlong.directions(u - 70 / 360, v), latlong.solid_angles(512, 1024)[:, None]
     wanted = 10 * ALBEDO / np.pi * np.einsum("hw,hwc->c", np.maximum(towards @ AXES[1], 0) * area, fine)
-    found = planes[name].picture(jr.environment(pixels, 70.0, 10.0))[..., :3]
-    np.testing.assert_allclose(found, np.broadcast_to(wanted, found.shape), rtol=0.01)
+    image = planes[name].picture(jr.environment(pixels, 70.0, 10.0))[..., :3]
+    np.testing.assert_allclose(image, np.broadcast_to(wanted, image.shape), rtol=0.01)

@@ -38,12 +38,12 @@ def test_bad_pixels_of_a_file_are_black_in_the_light_and_no_others_change(tmp_pa
     made = load_environment(tmp_path / "sky.exr", 40, 2, zero_nonfinite=True)
     assert len(made.notes) == 1
     assert "2 " in made.notes[0]
-    found = picture(made)
-    assert np.isfinite(found).all()
-    assert found.min() >= -1e-6
-    np.testing.assert_array_equal(found, picture(jr.environment(mended, 40, 2)))
-    jr.write_image(tmp_path / "picture.exr", found)
-    np.testing.assert_array_equal(jr.read_image(tmp_path / "picture.exr"), found)
+    image = picture(made)
+    assert np.isfinite(image).all()
+    assert image.min() >= -1e-6
+    np.testing.assert_array_equal(image, picture(jr.environment(mended, 40, 2)))
+    jr.write_image(tmp_path / "picture.exr", image)
+    np.testing.assert_array_equal(jr.read_image(tmp_path / "picture.exr"), image)
     if not np.isfinite(bad):
         with pytest.raises(jr.InputError, match=r"sky\.exr has 2 NaN or infinite pixels"):
             load_environment(tmp_path / "sky.exr")

@@ -76,11 +76,11 @@ def test_a_closed_room_that_emits_is_its_series(tmp_path):
     """E (1 + ρ + … + ρ^B) from all directions."""
     relighter = opened(room([0.5, 0.4, 0.8], np.ones(3, np.float32)), tmp_path, gather_samples=4096)
     for bounces in (1, 2, 3):
-        found = reflected(relighter, [], bounces)
+        radiance = reflected(relighter, [], bounces)
         rho = np.array([0.5, 0.4, 0.8])
         wanted = (1 - rho ** (bounces + 1)) / (1 - rho)
-        np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted, rtol=0.02)
-        assert np.abs(found / wanted - 1).max() < 0.25
+        np.testing.assert_allclose(radiance.mean(axis=(0, 1)), wanted, rtol=0.02)
+        assert np.abs(radiance / wanted - 1).max() < 0.25
 
 
 def test_light_is_linear(relighter):
@@ -116,8 +116,8 @@ def test_what_is_gathered_is_what_the_cloud_reflects(relighter):
 def test_codes_and_coefficients_are_near(scene, folder, relighter):
     wanted = reflected(relighter, [LAMP])
     for dials, most in (({"compression_tolerance": 0.02, "bits": 8}, 0.05), ({"coefficients": 100}, 0.1)):
-        found = reflected(opened(scene, folder, **dials), [LAMP])
-        assert 0 < np.linalg.norm(found - wanted) < most * np.linalg.norm(wanted)
+        radiance = reflected(opened(scene, folder, **dials), [LAMP])
+        assert 0 < np.linalg.norm(radiance - wanted) < most * np.linalg.norm(wanted)
 
 
 def test_gradients_in_lights_and_albedo(relighter):

@@ -34,8 +34,8 @@ def usual(tmp_path_factory):
 @pytest.mark.parametrize("scale", [pytest.param(1e-3, marks=pytest.mark.slow), 1e3])
 def test_size_does_not_matter(usual, tmp_path, scale):
     lamp = point(scale * np.asarray(LAMP.position), scale**2 * np.asarray(LAMP.intensity))
-    found = reflected(opened(scaled(scale), tmp_path, bounces=2), lamp)
-    np.testing.assert_allclose(found, reflected(usual, LAMP), rtol=2e-2, atol=2e-3)
+    radiance = reflected(opened(scaled(scale), tmp_path, bounces=2), lamp)
+    np.testing.assert_allclose(radiance, reflected(usual, LAMP), rtol=2e-2, atol=2e-3)
 
 
 def test_strong_lights_are_weak_ones_times_their_strength(usual):

@@ -26,8 +26,8 @@ def test_the_sum_is_the_picture_by_all_of_them(relighter):
     layers = LightLayers(relighter, [LAMP, OTHER])
     np.testing.assert_allclose(layers.picture(), picture(relighter, [LAMP, OTHER]), rtol=1e-4, atol=1e-5)
     tinted = [LAMP, point(OTHER.position, np.asarray(OTHER.intensity) * [2.0, 0.5, 0.0])]
-    found = layers.picture([1.0, [2.0, 0.5, 0.0]])
-    np.testing.assert_allclose(found, picture(relighter, tinted), rtol=1e-4, atol=1e-5)
+    image = layers.picture([1.0, [2.0, 0.5, 0.0]])
+    np.testing.assert_allclose(image, picture(relighter, tinted), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(layers.picture([0, 0]), picture(relighter, []), atol=1e-6)
     assert LightLayers(relighter, []).picture().mean() > 0.05
 

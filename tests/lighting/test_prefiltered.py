@@ -303,9 +303,9 @@ def test_reflectance_between_texels_is_the_mean_of_theirs():
     columns = [np.array([0.25, 0.5], np.float32), np.array([0.75, 0.5], np.float32)]
     whole = [pair.at(column, np.float32(0)) for column in columns]
     several = jax.tree.map(lambda *leaves: np.concatenate([leaves[0], np.stack(leaves[1:])]), lobes, *whole)
-    found = np.asarray(radiances(several, filtered()))
-    np.testing.assert_allclose(np.asarray(weights) @ found[:4], found[4:].mean(axis=0), rtol=1e-4)
-    assert np.abs(found[4] - found[5]).max() > 0.01
+    radiance = np.asarray(radiances(several, filtered()))
+    np.testing.assert_allclose(np.asarray(weights) @ radiance[:4], radiance[4:].mean(axis=0), rtol=1e-4)
+    assert np.abs(radiance[4] - radiance[5]).max() > 0.01
     seen = look(card(Material((Component(pair),))))
     lamp = [point([0.3, 2, -1], 3)]
     for light, most in (

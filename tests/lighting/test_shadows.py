@@ -98,15 +98,15 @@ def test_points_lie_where_they_were_given_and_are_followed_by_padding(floor):
 
 def test_rays_go_where_light_comes_from_in_front(floor):
     points, tracer = floor
-    found = reached(points, LIGHTS["directional"])
+    visible = reached(points, LIGHTS["directional"])
     assert tracer.rays == COUNT // 2
-    assert not found[:COUNT:2].any()
-    assert not found[COUNT:].any()
+    assert not visible[:COUNT:2].any()
+    assert not visible[COUNT:].any()
     # The shadow of the ball, as parallel light throws it.
     places = np.asarray(points.positions)[1:COUNT:2]
     towards = np.array([-0.2, 1, -0.1]) / np.sqrt(1.05)
     apart = np.linalg.norm(np.cross(places, towards), axis=1)
-    hidden = ~found[1:COUNT:2]
+    hidden = ~visible[1:COUNT:2]
     assert hidden[apart < 0.19].all()
     assert not hidden[apart > 0.2].any()
 
@@ -126,13 +126,13 @@ def test_rays_of_another_colour_are_none(floor, name):
 @pytest.mark.parametrize("name", ["spot", "projector", "shaped", "patch"])
 def test_where_light_cannot_arrive_is_left_out_and_nothing_else(floor, name):
     points, tracer = floor
-    found = reached(points, LIGHTS[name])
+    visible = reached(points, LIGHTS[name])
     within = tracer.rays
     everywhere = reached(points, Everywhere(LIGHTS[name]))
     assert within < 0.7 * (tracer.rays - within)
     lit = np.asarray(LIGHTS[name].at(points.positions).irradiance).any(axis=1)
-    np.testing.assert_array_equal(found[lit], everywhere[lit])
-    assert not (found & ~everywhere).any()
+    np.testing.assert_array_equal(visible[lit], everywhere[lit])
+    assert not (visible & ~everywhere).any()
 
 
 def test_only_so_much_is_remembered(floor, monkeypatch):

@@ -38,9 +38,9 @@ for coefficients in "shared", 48:
     )
     one, many = lit(relighter), lit(spread)
     assert all(len(terms.sharding.device_set) == 4 for terms in many[0])
-    for wanted, found in zip(*map(jax.tree.leaves, (one, many)), strict=True):
-        assert wanted.shape == found.shape
-        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
+    for wanted, leaf in zip(*map(jax.tree.leaves, (one, many)), strict=True):
+        assert wanted.shape == leaf.shape
+        np.testing.assert_allclose(leaf, wanted, rtol=1e-5, atol=1e-5 * np.abs(wanted).max())
 """
 
 

@@ -40,8 +40,8 @@ def object_outdoors(tmp_path_factory):
 
 def test_an_open_floor_under_an_even_sky_is_its_albedo(tmp_path):
     relighter = opened(outdoors(), tmp_path, gather_samples=1024, sky=True, bounces=1)
-    found = reflected(relighter, ONES)[np.asarray(relighter.view().pixels.surfaces.covered)]
-    np.testing.assert_allclose(found, np.tile([0.5, 0.4, 0.3], (len(found), 1)), rtol=0.02)
+    radiance = reflected(relighter, ONES)[np.asarray(relighter.view().pixels.surfaces.covered)]
+    np.testing.assert_allclose(radiance, np.tile([0.5, 0.4, 0.3], (len(radiance), 1)), rtol=0.02)
 
 
 def test_all_light_of_a_map_is_in_one_direction_or_another():
@@ -49,29 +49,29 @@ def test_all_light_of_a_map_is_in_one_direction_or_another():
     towards = np.concatenate([directions, directions * [1, -1, 1]])
     for height, width in ((16, 32), (4, 8), (64, 128)):
         pixels = np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
-        found = mean_radiance(pixels, 0.0, 2.0, jnp.asarray(nearest_directions(towards, height, width)), 100)
+        means = mean_radiance(pixels, 0.0, 2.0, jnp.asarray(nearest_directions(towards, height, width)), 100)
         omega = latlong.solid_angles(height, width)[:, None, None]
-        np.testing.assert_allclose(found.mean(axis=0) * 4 * np.pi, 2 * (pixels * omega).sum(axis=(0, 1)), rtol=1e-4)
+        np.testing.assert_allclose(means.mean(axis=0) * 4 * np.pi, 2 * (pixels * omega).sum(axis=(0, 1)), rtol=1e-4)
 
 
 @pytest.mark.parametrize("bounces", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
     sky, view = gradient(), object_outdoors.view(direct_samples=1)
-    found, wanted = (
+    image, wanted = (
         np.asarray(object_outdoors.shade(object_outdoors.light(lights, bounces), view).radiance)
         for lights in (sky, sky_of(sky, 100))
     )
-    assert np.linalg.norm(found - wanted) < 0.06 * np.linalg.norm(wanted)
-    np.testing.assert_allclose(found.mean(axis=(0, 1)), wanted.mean(axis=(0, 1)), rtol=0.05)
+    assert np.linalg.norm(image - wanted) < 0.06 * np.linalg.norm(wanted)
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), wanted.mean(axis=(0, 1)), rtol=0.05)
 
 
 def test_every_bounce_of_a_sky_adds_light(object_outdoors):
     """Without any, pixels see the sky itself; what is added grows less."""
     sky = gradient()
-    found = np.asarray([reflected(object_outdoors, sky, bounces).mean() for bounces in range(4)])
-    added = np.diff(found)
-    assert found[0] > 0
-    assert (added > 1e-4 * found[0]).all()
+    means = np.asarray([reflected(object_outdoors, sky, bounces).mean() for bounces in range(4)])
+    added = np.diff(means)
+    assert means[0] > 0
+    assert (added > 1e-4 * means[0]).all()
     assert (np.diff(added) < 0).all()
 
 

@@ -51,12 +51,12 @@ def test_a_sun_adds_no_error(tmp_path, change):
     np.testing.assert_allclose(_terms(relighter, alone), wanted, atol=1e-5 * np.abs(wanted).max())
     for sun in (1e3, 1e5):
         sky = _sky(sun)
-        wanted, found = _terms(exact, sky), _terms(relighter, sky)
-        assert np.linalg.norm(found - wanted) < 5 / sun * np.linalg.norm(wanted)
+        wanted, terms = _terms(exact, sky), _terms(relighter, sky)
+        assert np.linalg.norm(terms - wanted) < 5 / sun * np.linalg.norm(wanted)
         # Compressed, it is much farther off.
         pixels = relighter.light_vector(sky.pixels, sky.rotate_y, sky.scale)
         whole = np.concatenate([np.asarray(part).ravel() for part in relighter.terms(pixels)])
-        assert np.linalg.norm(whole - wanted) > 10 * np.linalg.norm(found - wanted)
+        assert np.linalg.norm(whole - wanted) > 10 * np.linalg.norm(terms - wanted)
 
 
 @pytest.mark.slow

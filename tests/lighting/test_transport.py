@@ -37,8 +37,8 @@ def relighter(request, tmp_path_factory) -> TransportRelighter:
     return open_transport(folder)
 
 
-def _relative(found, wanted) -> float:
-    return float(np.linalg.norm(np.subtract(found, wanted, dtype=float)) / np.linalg.norm(np.asarray(wanted, float)))
+def _relative(actual, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(actual, wanted, dtype=float)) / np.linalg.norm(np.asarray(wanted, float)))
 
 
 def _picture(relighter: TransportRelighter, environment, view: TransportView, background: bool = True) -> np.ndarray:
@@ -102,8 +102,8 @@ def test_light_and_shade_make_the_picture(relighter: TransportRelighter):
         assert np.asarray(part)[:count].any()
         assert not np.asarray(part)[count:].any()
     vector = relighter.light_vector(SKY, 40.0, 2.0)
-    for found, wanted in zip(terms, relighter.terms(vector), strict=True):
-        np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7)
+    for block_terms, wanted in zip(terms, relighter.terms(vector), strict=True):
+        np.testing.assert_allclose(block_terms, wanted, rtol=1e-6, atol=1e-7)
     given = relighter.shade(lit, view).rgba(relighter.background(lit, view))
     np.testing.assert_array_equal(given, relighter.picture(environment))
     covered = np.asarray(view.surfaces.covered)
@@ -117,9 +117,9 @@ def test_many_lights_are_each_by_itself(relighter: TransportRelighter):
     many, view = relighter.light_many(environments), relighter.view()
     for i, environment in enumerate(environments):
         mine = tuple(np.asarray(part)[i] for part in many)
-        for found, wanted in zip(mine, relighter.light(environment).terms, strict=True):
-            assert found.shape == wanted.shape
-            np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-5)
+        for block_terms, wanted in zip(mine, relighter.light(environment).terms, strict=True):
+            assert block_terms.shape == wanted.shape
+            np.testing.assert_allclose(block_terms, wanted, rtol=1e-5, atol=1e-5)
         image = relighter.shade_terms(mine, view)
         np.testing.assert_allclose(image, _surface(relighter, environment, view), rtol=1e-5, atol=1e-5)
     assert _relative(*np.asarray(many[0])[:2]) > 0.1
@@ -138,15 +138,15 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     skies = [jr.environment(SKY), jr.environment(SKY, rotate_y=70)]
     many = relighter.light_many(skies)
     for i, sky in enumerate(skies):
-        for found, wanted in zip(many, relighter.light(sky).terms, strict=True):
-            np.testing.assert_allclose(np.asarray(found)[i], wanted, rtol=1e-5, atol=1e-5)
+        for block_terms, wanted in zip(many, relighter.light(sky).terms, strict=True):
+            np.testing.assert_allclose(np.asarray(block_terms)[i], wanted, rtol=1e-5, atol=1e-5)
 
 
 def test_light_may_be_traced_first(relighter: TransportRelighter):
     """Tables that are kept between calls hold nothing of the function that was being traced when they were made."""
     traced = jax.jit(lambda pixels: relighter.terms(relighter.light_vector(pixels, 20.0)))(SKY)
-    for found, wanted in zip(traced, relighter.terms(relighter.light_vector(SKY, 20.0)), strict=True):
-        assert _relative(found, wanted) < 1e-5
+    for block_terms, wanted in zip(traced, relighter.terms(relighter.light_vector(SKY, 20.0)), strict=True):
+        assert _relative(block_terms, wanted) < 1e-5
 
 
 # The white furnace.

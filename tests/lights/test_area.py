@@ -11,8 +11,8 @@ SQUARE = (0, 2, 0), (2, 0, 0), (0, 0, 2)  # u × v points down
 
 
 def irradiance(light, place, normal) -> np.ndarray:
-    found = [part.at(jnp.asarray([place], jnp.float32)) for part in light.parts()]
-    each = [one.irradiance[0] * max(0, float(one.omega_i[0] @ jnp.asarray(normal))) for one in found]
+    incidents = [part.at(jnp.asarray([place], jnp.float32)) for part in light.parts()]
+    each = [one.irradiance[0] * max(0, float(one.omega_i[0] @ jnp.asarray(normal))) for one in incidents]
     return np.sum(each, axis=0)
 
 
@@ -22,8 +22,8 @@ def test_a_square_overhead(height):
     x = 1 / (2 - height)
     share = x / np.sqrt(1 + x * x)
     wanted = np.pi * 4 / (2 * np.pi) * 2 * share * np.arctan(share)
-    found = irradiance(area(*SQUARE, [1, 2, 3], samples=24), [0, height, 0], [0.0, 1, 0])
-    np.testing.assert_allclose(found, wanted * np.array([1, 2, 3]), rtol=2e-3)
+    received = irradiance(area(*SQUARE, [1, 2, 3], samples=24), [0, height, 0], [0.0, 1, 0])
+    np.testing.assert_allclose(received, wanted * np.array([1, 2, 3]), rtol=2e-3)
 
 
 def test_it_shines_on_one_side():

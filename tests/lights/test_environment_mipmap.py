@@ -24,7 +24,7 @@ def _found(light, solid_angle):
     return jax.vmap(lambda one: light.radiance_at(one, solid_angle))(DIRECTIONS)
 
 
-def found(light, solid_angle) -> np.ndarray:
+def radiance(light, solid_angle) -> np.ndarray:
     return np.asarray(_found(light, None if solid_angle is None else np.float32(solid_angle)))
 
 
@@ -49,8 +49,8 @@ def test_small_cells_are_pixels():
     pixels = noise(16)
     wanted = jax.jit(latlong.look_up)(pixels, *places())
     light = environment_mipmap(environment(pixels))
-    np.testing.assert_array_equal(found(light, None), wanted)
-    np.testing.assert_array_equal(found(light, 1e-9), wanted)
+    np.testing.assert_array_equal(radiance(light, None), wanted)
+    np.testing.assert_array_equal(radiance(light, 1e-9), wanted)
 
 
 @pytest.mark.parametrize("rows", [8, 16, 12])
@@ -80,7 +80,7 @@ def test_channels_are_looked_up_apart(solid_angle: float | None):
 @pytest.mark.parametrize("solid_angle", [1e-6, 1e-2, 0.3, 20])
 def test_a_constant_sky_is_constant(rows: int, solid_angle: float):
     light = environment_mipmap(environment(np.full((rows, 2 * rows, 3), 0.7, np.float32)))
-    np.testing.assert_allclose(found(light, solid_angle), 0.7, rtol=1e-5)
+    np.testing.assert_allclose(radiance(light, solid_angle), 0.7, rtol=1e-5)
     mean, square, bandwidth = _details(light, np.float32(solid_angle))
     np.testing.assert_allclose(mean, 0.7, rtol=1e-5)
     np.testing.assert_allclose(square, 0.49, rtol=1e-5)
@@ -106,7 +106,7 @@ def test_turning_is_a_turn_of_the_map():
     pixels = noise(16)
     quarter = environment_mipmap(environment(pixels, rotate_y=90))
     turned = np.asarray(jax.jit(latlong.rotate)(pixels, np.float32(90)))
-    np.testing.assert_array_equal(found(quarter, None), found(environment_mipmap(environment(turned)), None))
+    np.testing.assert_array_equal(radiance(quarter, None), radiance(environment_mipmap(environment(turned)), None))
 
 
 def test_waves_have_their_bandwidth():

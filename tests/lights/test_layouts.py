@@ -45,9 +45,9 @@ LAYOUT = {"row": "strip", "column": "strip", "across": "cross", "down": "cross"}
 def test_faces_are_found_by_sides_or_by_name(kind, n):
     cube = faces(n)
     for layout in ("auto", LAYOUT[kind]):
-        found, note = faces_of(pictures(cube)[kind], layout, "sky")
-        assert found is not None
-        np.testing.assert_array_equal(found, cube)
+        unfolded, note = faces_of(pictures(cube)[kind], layout, "sky")
+        assert unfolded is not None
+        np.testing.assert_array_equal(unfolded, cube)
         assert (LAYOUT[kind] in note) == (layout == "auto")
     assert faces_of(pictures(cube)[kind], "latlong", "sky") == (None, "")
 

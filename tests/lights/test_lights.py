@@ -25,13 +25,13 @@ ACCEPTED = {
 @pytest.mark.parametrize("name", ACCEPTED)
 def test_what_is_accepted(name):
     given, environment, local = ACCEPTED[name]
-    found = as_lights(given)
-    assert isinstance(found, Lights)
-    assert found.environment is environment
+    lights = as_lights(given)
+    assert isinstance(lights, Lights)
+    assert lights.environment is environment
     local = (given,) if local is None else local
-    assert len(found.local) == len(local)
-    assert all(one is other for one, other in zip(found.local, local, strict=True))
-    assert bool(found) == (environment is not None or bool(local))
+    assert len(lights.local) == len(local)
+    assert all(one is other for one, other in zip(lights.local, local, strict=True))
+    assert bool(lights) == (environment is not None or bool(local))
 
 
 def test_lights_add_up_and_are_pytrees():

@@ -23,33 +23,33 @@ def at(light, places):
 
 
 def test_a_point_light_falls_off_with_the_square_of_the_distance():
-    found = at(point([0, 2, 0], [4, 8, 12]), [[0, 0, 0], [3, 2, 4]])
-    np.testing.assert_allclose(found.omega_i, [[0, 1, 0], [-0.6, 0, -0.8]], atol=1e-6)
-    np.testing.assert_allclose(found.distance, [2, 5])
-    np.testing.assert_allclose(found.irradiance, [[1, 2, 3], [0.16, 0.32, 0.48]], rtol=1e-6)
+    incident = at(point([0, 2, 0], [4, 8, 12]), [[0, 0, 0], [3, 2, 4]])
+    np.testing.assert_allclose(incident.omega_i, [[0, 1, 0], [-0.6, 0, -0.8]], atol=1e-6)
+    np.testing.assert_allclose(incident.distance, [2, 5])
+    np.testing.assert_allclose(incident.irradiance, [[1, 2, 3], [0.16, 0.32, 0.48]], rtol=1e-6)
 
 
 def test_a_directional_light_is_the_same_everywhere():
-    found = at(directional([0, -2, 0], 3), POINTS)
-    np.testing.assert_allclose(found.omega_i, np.tile([0, 1, 0], (7, 1)))
-    np.testing.assert_allclose(found.irradiance, 3)
-    assert np.isinf(found.distance).all()
+    incident = at(directional([0, -2, 0], 3), POINTS)
+    np.testing.assert_allclose(incident.omega_i, np.tile([0, 1, 0], (7, 1)))
+    np.testing.assert_allclose(incident.irradiance, 3)
+    assert np.isinf(incident.distance).all()
 
 
 def test_a_spot_is_a_point_within_its_beam_nothing_beyond_its_cutoff_and_linear_between():
     light = spot([0, 1, 0], [0, 0, 0], 2, cutoff=30, beam=10)
     angles = np.radians([0, 9.9, 20, 25, 30.1, 180])
     places = np.stack([np.sin(angles), 1 - np.cos(angles), 0 * angles], axis=1)
-    found = at(light, places)
-    np.testing.assert_allclose(found.irradiance[:, 0], [2, 2, 1, 0.5, 0, 0], atol=1e-4)
+    incident = at(light, places)
+    np.testing.assert_allclose(incident.irradiance[:, 0], [2, 2, 1, 0.5, 0, 0], atol=1e-4)
     hard = at(spot([0, 1, 0], [0, 0, 0], 2, cutoff=30, beam=30), places)
     np.testing.assert_allclose(hard.irradiance[:, 0], [2, 2, 2, 2, 0, 0], atol=1e-4)
 
 
 @pytest.mark.parametrize("light", [point([0, 0, 0], 1), spot([0, 0, 0], [0, 0, 1], 1, 40)])
 def test_at_the_light_itself_all_is_finite(light):
-    found = at(light, np.zeros((1, 3)))
-    assert all(np.isfinite(part).all() for part in found[:3])
+    incident = at(light, np.zeros((1, 3)))
+    assert all(np.isfinite(part).all() for part in incident[:3])
 
 
 def test_gradients_are_right(x64):

@@ -9,9 +9,9 @@ from jaxrelight.lights.natural_spectrum import natural_spectrum
 
 def by_level(resolution: int) -> np.ndarray:
     spectrum, level = natural_spectrum(resolution), levels(resolution)
-    found = [np.unique(spectrum[level == i]) for i in range(level.max() + 1)]
-    assert all(len(values) == 1 for values in found)
-    return np.concatenate(found)
+    level_values = [np.unique(spectrum[level == i]) for i in range(level.max() + 1)]
+    assert all(len(values) == 1 for values in level_values)
+    return np.concatenate(level_values)
 
 
 def test_finer_maps_add_levels_of_less():

@@ -20,17 +20,17 @@ def test_pixels_fall_where_a_camera_sees_them():
     light = projector(*PLACE, IMAGE, 40.0)
     directions = Camera(*PLACE, fov_y=40.0, width=5, height=3).directions().reshape(-1, 3)
     distance = np.linspace(1, 3, 15)[:, None]
-    found = _at(light, (np.array(PLACE[0]) + distance * directions).astype(np.float32))
-    np.testing.assert_allclose(found.irradiance, IMAGE.reshape(-1, 3) / distance**2, rtol=1e-4)
-    np.testing.assert_allclose(found.omega_i, -directions, atol=1e-5)
-    np.testing.assert_allclose(found.distance, distance[:, 0], rtol=1e-5)
+    incident = _at(light, (np.array(PLACE[0]) + distance * directions).astype(np.float32))
+    np.testing.assert_allclose(incident.irradiance, IMAGE.reshape(-1, 3) / distance**2, rtol=1e-4)
+    np.testing.assert_allclose(incident.omega_i, -directions, atol=1e-5)
+    np.testing.assert_allclose(incident.distance, distance[:, 0], rtol=1e-5)
 
 
 def test_nothing_falls_beside_the_image_or_behind():
     light = projector((0, 0, 0), (0, 0, 1), np.ones((2, 2, 3)), 90.0)
     places = [[0, 0, 1], [0.99, 0.99, 1], [1.01, 0, 1], [0, -1.01, 1], [0, 0, -1], [1, 0, 0]]
-    found = np.asarray(_at(light, np.asarray(places, np.float32)).irradiance)
-    np.testing.assert_array_equal(found[:, 0] > 0, [True, True, False, False, False, False])
+    irradiance = np.asarray(_at(light, np.asarray(places, np.float32)).irradiance)
+    np.testing.assert_array_equal(irradiance[:, 0] > 0, [True, True, False, False, False, False])
 
 
 def _moved(given, way, step: float) -> Projector:

@@ -30,8 +30,8 @@ LIGHTS = (
 def test_every_kind_comes_back():
     records, arrays = to_records(LIGHTS)
     assert all(isinstance(value, (str, int)) for record in records for value in record.values())
-    found = from_records(records, arrays.__getitem__)
-    for one, other in zip(found, LIGHTS, strict=True):
+    restored = from_records(records, arrays.__getitem__)
+    for one, other in zip(restored, LIGHTS, strict=True):
         assert jax.tree.structure(one) == jax.tree.structure(other)
         for mine, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
             np.testing.assert_array_equal(mine, theirs)
@@ -47,9 +47,9 @@ def test_lights_of_a_class_of_ones_own_come_back():
     records, arrays = to_records([own, LIGHTS[2]])
     assert [record["type"] for record in records] == [f"{__name__}:Own", "Directional"]
     assert set(arrays) == {"0.position", "0.intensity", "1.direction", "1.irradiance"}
-    found = from_records(json.loads(json.dumps(records)), arrays.__getitem__)
-    assert [type(light) for light in found] == [Own, type(LIGHTS[2])]
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves((own, LIGHTS[2])), strict=True):
+    restored = from_records(json.loads(json.dumps(records)), arrays.__getitem__)
+    assert [type(light) for light in restored] == [Own, type(LIGHTS[2])]
+    for one, other in zip(jax.tree.leaves(restored), jax.tree.leaves((own, LIGHTS[2])), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -63,8 +63,8 @@ def test_a_light_that_is_not_known_is_named():
 def test_double_precision_comes_back(x64):
     lights = point([0, 1, 1 / 3], 3.0), area([0, 1, 0], [1, 0, 0], [0, 0, 1], 0.1, 3)
     records, arrays = to_records(lights)
-    found = from_records(records, arrays.__getitem__)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(lights), strict=True):
+    restored = from_records(records, arrays.__getitem__)
+    for one, other in zip(jax.tree.leaves(restored), jax.tree.leaves(lights), strict=True):
         assert one.dtype == other.dtype == np.float64
         np.testing.assert_array_equal(one, other)
 
@@ -74,6 +74,6 @@ def test_a_store_keeps_the_lights_of_its_scene(tmp_path):
     camera = jr.Camera((0, 1, 0.5), (0, 0, 0), width=6, height=5)
     scene = jr.Scene([floor], {"floor": jr.lambert(0.5)}, camera, lights=LIGHTS[:4])
     precompute(scene, jr.Indirect(gather_samples=64, bounces=1), tmp_path)
-    found = jr.open_store(tmp_path).scene_lights().local
-    assert [type(one) for one in found] == [type(one) for one in LIGHTS[:4]]
-    np.testing.assert_array_equal(found[3].image, LIGHTS[3].image)
+    stored = jr.open_store(tmp_path).scene_lights().local
+    assert [type(one) for one in stored] == [type(one) for one in LIGHTS[:4]]
+    np.testing.assert_array_equal(stored[3].image, LIGHTS[3].image)

@@ -37,9 +37,9 @@ def at(light, places):
 
 def test_a_round_hard_one_is_a_spot():
     places = np.random.default_rng(0).normal(size=(200, 3))
-    found, wanted = (at(light, places) for light in (shaped(*DOWN, 3.0, 30.0, **AXES), spot(*DOWN, 3.0, 30.0, 30.0)))
+    incident, wanted = (at(light, places) for light in (shaped(*DOWN, 3.0, 30.0, **AXES), spot(*DOWN, 3.0, 30.0, 30.0)))
     for name in ("omega_i", "distance", "irradiance"):
-        np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(getattr(incident, name), getattr(wanted, name), rtol=1e-4, atol=1e-6)
 
 
 def test_rectangles_have_corners_that_ellipses_have_not():
@@ -54,31 +54,31 @@ def test_edges_are_soft_between_the_shapes():
     inner, outer = np.degrees(np.arctan([1.0, 2.0]))
     light = shaped(*DOWN, 1.0, inner, outer, **AXES)
     x = np.array([0.99, 1.01, 1.3, 1.5, 1.7, 1.99, 2.01])
-    found = at(light, across(*((each, 0) for each in x))).irradiance[:, 0] * (1 + x * x)
+    intensity = at(light, across(*((each, 0) for each in x))).irradiance[:, 0] * (1 + x * x)
     t = np.clip(x - 1, 0, 1)
-    np.testing.assert_allclose(found, 1 - t * t * (3 - 2 * t), atol=1e-4)
+    np.testing.assert_allclose(intensity, 1 - t * t * (3 - 2 * t), atol=1e-4)
 
 
 def test_it_begins_and_ends_at_distances():
     light = shaped((0, 0, 0), (0, 0, 1), 5.0, 20.0, near=(1, 2), far=(4, 6), falloff=0.0)
     distances = np.asarray([0.5, 0.99, 1.5, 2, 3, 4, 5, 6.01, 100])
-    found = at(light, distances[:, None] * [0, 0, 1]).irradiance[:, 0]
-    np.testing.assert_allclose(found, [0, 0, 2.5, 5, 5, 5, 2.5, 0, 0], atol=1e-5)
+    irradiance = at(light, distances[:, None] * [0, 0, 1]).irradiance[:, 0]
+    np.testing.assert_allclose(irradiance, [0, 0, 2.5, 5, 5, 5, 2.5, 0, 0], atol=1e-5)
 
 
 @pytest.mark.parametrize("falloff", [0.0, 1.0, 2.0, 3.5])
 def test_all_exponents_agree_at_the_reference(falloff):
     light = shaped((0, 0, 0), (0, 0, 1), 5.0, 20.0, falloff=falloff, reference=3.0)
-    found = at(light, [[0, 0, 3.0], [0, 0, 6.0]]).irradiance[:, 0]
-    np.testing.assert_allclose(found, [5 / 9, 5 / 9 / 2**falloff], rtol=1e-5)
+    irradiance = at(light, [[0, 0, 3.0], [0, 0, 6.0]]).irradiance[:, 0]
+    np.testing.assert_allclose(irradiance, [5 / 9, 5 / 9 / 2**falloff], rtol=1e-5)
 
 
 @pytest.mark.parametrize("roundness", [0.0, 0.3, 1.0])
 def test_gradients_are_finite_everywhere(roundness):
     light = shaped(*DOWN, 1.0, (20.0, 10.0), (30.0, 40.0), roundness=roundness, near=(0, 1), far=(2, 3), **AXES)
     places = [[0, 2, 0], [0, 1, 0], [0, 3, 0], [1, 2, 0], [0.3, 1, 0], [0, 1, 0.2], [5, 0, 5], [0, -9, 0]]
-    for found in (_slopes(light, np.asarray(places, np.float32)), at(light, places)):
-        assert all(np.isfinite(np.asarray(part)).all() for part in jax.tree.leaves(found))
+    for outputs in (_slopes(light, np.asarray(places, np.float32)), at(light, places)):
+        assert all(np.isfinite(np.asarray(part)).all() for part in jax.tree.leaves(outputs))
 
 
 @pytest.mark.parametrize(

@@ -26,10 +26,10 @@ def by_pixels(environment) -> np.ndarray:
 
 def test_an_even_sky_lights_by_how_much_of_it_is_seen():
     """π L facing up, half of it on a wall, nothing facing down."""
-    found = irradiance(even_sky([1, 2, 3], 512))
-    np.testing.assert_allclose(found[0], np.pi * np.array([1, 2, 3]), rtol=1e-2)
-    np.testing.assert_allclose(found[2:4], np.pi / 2 * np.array([[1, 2, 3]] * 2), rtol=2e-2)
-    np.testing.assert_allclose(found[1], 0)
+    received = irradiance(even_sky([1, 2, 3], 512))
+    np.testing.assert_allclose(received[0], np.pi * np.array([1, 2, 3]), rtol=1e-2)
+    np.testing.assert_allclose(received[2:4], np.pi / 2 * np.array([[1, 2, 3]] * 2), rtol=2e-2)
+    np.testing.assert_allclose(received[1], 0)
 
 
 @pytest.mark.parametrize(("rotate_y", "scale"), [(0.0, 1.0), (70.0, 0.5)])

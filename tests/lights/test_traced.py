@@ -56,8 +56,8 @@ def test_traced_numbers_make_what_known_ones_make_and_have_its_derivatives(x64):
     slopes, made = jax.jit(jax.vmap(jax.grad(total, has_aux=True)))(dict.fromkeys(MADE, places))
     for name, make in MADE.items():
         for i, k in enumerate(places):
-            for found, wanted in zip(jax.tree.leaves(made[name]), jax.tree.leaves(make(k)), strict=True):
-                np.testing.assert_allclose(found[i], wanted, rtol=1e-13, err_msg=name)
+            for traced, wanted in zip(jax.tree.leaves(made[name]), jax.tree.leaves(make(k)), strict=True):
+                np.testing.assert_allclose(traced[i], wanted, rtol=1e-13, err_msg=name)
             high, low = (
                 content(jax.tree.map(lambda leaf: np.nan_to_num(np.asarray(leaf), posinf=0), make(k + by)))
                 for by in (step, -step)
@@ -115,8 +115,8 @@ def test_light_has_the_type_of_the_arrays_given(x64, dtype):
     for name, make in MADE.items():
         light = make(np.ones((), dtype))
         assert {leaf.dtype for leaf in jax.tree.leaves(light)} == {np.dtype(dtype)}, name
-        found = jax.eval_shape(lambda light=light: [part.at(PLACES.astype(dtype)) for part in light.parts()])
-        assert {leaf.dtype for leaf in jax.tree.leaves(found)} - {np.dtype(bool)} == {np.dtype(dtype)}, name
+        shapes = jax.eval_shape(lambda light=light: [part.at(PLACES.astype(dtype)) for part in light.parts()])
+        assert {leaf.dtype for leaf in jax.tree.leaves(shapes)} - {np.dtype(bool)} == {np.dtype(dtype)}, name
 
 
 def test_numbers_of_python_have_the_type_that_jax_is_set_to():

@@ -21,11 +21,11 @@ GIVEN = [
 @pytest.mark.parametrize(("values", "dtype"), GIVEN)
 def test_it_is_what_jax_makes_and_compiles_nothing(values, dtype):
     with compilations() as compiled:
-        found = as_array(values, dtype)
+        array = as_array(values, dtype)
     assert not compiled
     wanted = jnp.asarray(values, dtype)
-    assert found.dtype == wanted.dtype
-    np.testing.assert_array_equal(found, wanted)
+    assert array.dtype == wanted.dtype
+    np.testing.assert_array_equal(array, wanted)
 
 
 def test_double_precision_is_kept_where_it_is_enabled(x64):

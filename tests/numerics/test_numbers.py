@@ -33,21 +33,21 @@ def test_arrays_have_a_type_and_numbers_of_python_follow_it(values, wanted):
 
 
 def test_a_number_of_python_that_is_traced_asks_for_no_type(x64):
-    found = []
-    jax.eval_shape(lambda x: found.append(float_dtype(x, SINGLE)), 0.5)
-    jax.eval_shape(lambda x: found.append(float_dtype(x, SINGLE)), np.float64(0.5))
-    jax.eval_shape(lambda x: found.append(float_dtype(x)), 0.5)
-    assert found == [np.float32, np.float64, np.float64]
+    dtypes = []
+    jax.eval_shape(lambda x: dtypes.append(float_dtype(x, SINGLE)), 0.5)
+    jax.eval_shape(lambda x: dtypes.append(float_dtype(x, SINGLE)), np.float64(0.5))
+    jax.eval_shape(lambda x: dtypes.append(float_dtype(x)), 0.5)
+    assert dtypes == [np.float32, np.float64, np.float64]
 
 
 def test_what_is_known_stays_on_the_host_and_compiles_nothing():
     given = jax.device_put(np.arange(19, dtype=np.int32).reshape(1, 19))
     with compilations() as compiled:
-        found = as_numbers(given)
+        array = as_numbers(given)
     assert not compiled
-    assert type(found) is np.ndarray
-    assert found.dtype == np.float64
-    assert module_of(found) is np
+    assert type(array) is np.ndarray
+    assert array.dtype == np.float64
+    assert module_of(array) is np
 
 
 def test_what_is_traced_passes_all_conditions_and_nothing_else_does():

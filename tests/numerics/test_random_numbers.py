@@ -22,12 +22,12 @@ def numbers(count):
 
 @pytest.mark.parametrize("count", [16, 48, 256, MAX_POINTS])
 def test_steps_have_one_each(count: int):
-    for found in np.asarray(numbers(count))[:, :count]:
-        assert (found >= 0).all()
-        assert (found < 1).all()
+    for points in np.asarray(numbers(count))[:, :count]:
+        assert (points >= 0).all()
+        assert (points < 1).all()
         # But for what rounding takes across an edge.
-        np.testing.assert_allclose(np.floor(found[:, 0] * count + 1e-3), np.arange(count), atol=1)
-        assert np.ptp(found[:, 0] * count - np.arange(count)) < 2e-3
+        np.testing.assert_allclose(np.floor(points[:, 0] * count + 1e-3), np.arange(count), atol=1)
+        assert np.ptp(points[:, 0] * count - np.arange(count)) < 2e-3
 
 
 @pytest.mark.parametrize("count", [16, 48, 128, 256, 1024])
@@ -45,10 +45,10 @@ def test_a_disc_is_filled_evenly(count: int):
 
 
 def test_rotations_are_as_good_as_random():
-    found = np.asarray(many_rotations(3), float) / 2**32
-    np.testing.assert_allclose(found.mean(axis=0), 0.5, atol=0.02)
-    np.testing.assert_allclose(found.std(axis=0), 12**-0.5, atol=0.01)
-    assert np.abs(np.corrcoef(found.T) - np.eye(2)).max() < 0.05
-    assert np.abs(np.corrcoef(found[:-1].T, found[1:].T)[:2, 2:]).max() < 0.05
-    assert not np.array_equal(found, np.asarray(many_rotations(4), float) / 2**32)
-    np.testing.assert_array_equal(found, np.asarray(many_rotations(3), float) / 2**32)
+    rotations = np.asarray(many_rotations(3), float) / 2**32
+    np.testing.assert_allclose(rotations.mean(axis=0), 0.5, atol=0.02)
+    np.testing.assert_allclose(rotations.std(axis=0), 12**-0.5, atol=0.01)
+    assert np.abs(np.corrcoef(rotations.T) - np.eye(2)).max() < 0.05
+    assert np.abs(np.corrcoef(rotations[:-1].T, rotations[1:].T)[:2, 2:]).max() < 0.05
+    assert not np.array_equal(rotations, np.asarray(many_rotations(4), float) / 2**32)
+    np.testing.assert_array_equal(rotations, np.asarray(many_rotations(3), float) / 2**32)

@@ -30,21 +30,21 @@ def rows(*vectors) -> np.ndarray:
 @pytest.mark.parametrize("exponent", [0.0, 0.5, 1.0, 2.5, 20.0])
 def test_power_is_the_plain_one_above_zero(exponent):
     base = np.geomspace(1e-3, 3, 50, dtype=np.float32)
-    found = power(base, np.float32(exponent))
-    np.testing.assert_allclose(found, base.astype(float) ** exponent, rtol=3e-5, atol=1e-37)
+    powers = power(base, np.float32(exponent))
+    np.testing.assert_allclose(powers, base.astype(float) ** exponent, rtol=3e-5, atol=1e-37)
 
 
 def test_power_is_exact_in_float64(x64):
     base, exponent = np.meshgrid(np.geomspace(1e-3, 3, 30), [0.0, 0.5, 3.0, 60.0])
-    found = power(base, exponent)
-    assert found.dtype == np.float64
-    np.testing.assert_allclose(found, base**exponent, rtol=1e-12)
+    powers = power(base, exponent)
+    assert powers.dtype == np.float64
+    np.testing.assert_allclose(powers, base**exponent, rtol=1e-12)
 
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_power_of_nothing_and_of_negatives_is_zero(exponent):
-    found = power(np.asarray([0.0, -1e-30, -1.0, -1e30], np.float32), np.float32(exponent))
-    np.testing.assert_array_equal(found, 0)
+    powers = power(np.asarray([0.0, -1e-30, -1.0, -1e30], np.float32), np.float32(exponent))
+    np.testing.assert_array_equal(powers, 0)
 
 
 @DERIVATIVES
@@ -65,9 +65,9 @@ def test_power_has_the_textbook_gradients(x64, derivative):
 
 
 def test_power_is_held_where_it_would_overflow():
-    held, found = np.asarray(power(np.full(2, 1.1, np.float32), np.asarray([1e4, 800], np.float32)))
+    held, free = np.asarray(power(np.full(2, 1.1, np.float32), np.asarray([1e4, 800], np.float32)))
     np.testing.assert_allclose(held, np.exp(80), rtol=1e-4)
-    np.testing.assert_allclose(found, np.exp(800 * np.log(1.1)), rtol=1e-3)
+    np.testing.assert_allclose(free, np.exp(800 * np.log(1.1)), rtol=1e-3)
 
 
 def test_norm_is_the_euclidean_one():
@@ -90,19 +90,19 @@ def test_norm_has_unit_gradients_and_none_at_the_zero_vector(derivative):
 
 
 def test_normalize_gives_unit_vectors_and_keeps_zero():
-    found = np.asarray(normalize(rows([0, 0, 0], [2, 0, 0], [1e30, 1e30, 0], [1e-30, 0, -1e-30])))
+    unit = np.asarray(normalize(rows([0, 0, 0], [2, 0, 0], [1e30, 1e30, 0], [1e-30, 0, -1e-30])))
     half = np.sqrt(0.5)
     expected = [[0, 0, 0], [1, 0, 0], [half, half, 0], [half, 0, -half]]
-    np.testing.assert_allclose(found[:4], expected, rtol=1e-6)
+    np.testing.assert_allclose(unit[:4], expected, rtol=1e-6)
 
 
 @DERIVATIVES
 def test_normalize_has_no_gradient_at_zero_and_the_right_one_elsewhere(x64, derivative):
     """(1 − u uᵀ) / |v|, with u along v."""
     vectors = np.asarray([[0, 0, 0], [0.3, -2.0, 0.7], [5, 0, 1e-3]])
-    zero, *found = np.asarray(slopes_of(safe.normalize, derivative)(vectors))
+    zero, *slopes = np.asarray(slopes_of(safe.normalize, derivative)(vectors))
     np.testing.assert_array_equal(zero, 0)
-    for slope, vector in zip(found, vectors[1:], strict=True):
+    for slope, vector in zip(slopes, vectors[1:], strict=True):
         length = np.linalg.norm(vector)
         wanted = (np.eye(3) - np.multiply.outer(vector, vector) / length**2) / length
         np.testing.assert_allclose(slope, wanted, rtol=1e-9, atol=1e-15)
@@ -111,19 +111,19 @@ def test_normalize_has_no_gradient_at_zero_and_the_right_one_elsewhere(x64, deri
 def test_angle_is_accurate_from_zero_to_pi():
     x, true = np.asarray([1, 0, 0], np.float32), np.asarray([1e-6, 1e-3, 0.5, np.pi / 2, 3.0])
     other = np.stack([np.cos(true), np.sin(true), 0 * true], axis=-1).astype(np.float32)
-    found = np.asarray(angle(rows(*[x] * 7), rows(*other, x, -3 * x)))
-    np.testing.assert_allclose(found[:5], true, rtol=1e-5)
+    angles = np.asarray(angle(rows(*[x] * 7), rows(*other, x, -3 * x)))
+    np.testing.assert_allclose(angles[:5], true, rtol=1e-5)
     np.testing.assert_allclose(np.asarray(angle(rows(x), rows(*-other)))[:5], np.pi - true, rtol=1e-6)
-    assert found[5] == 0
-    np.testing.assert_allclose(found[6], np.pi, rtol=1e-7)
+    assert angles[5] == 0
+    np.testing.assert_allclose(angles[6], np.pi, rtol=1e-7)
 
 
 def test_angle_does_not_depend_on_length():
     a, b = np.asarray([1.0, 2, 3]), np.asarray([-2.0, 0.5, 1])
-    other, found, *_ = np.asarray(angle(rows(1e-4 * a, a), rows(1e6 * b, b)))
-    np.testing.assert_allclose(other, found, rtol=1e-6)
+    other, plain, *_ = np.asarray(angle(rows(1e-4 * a, a), rows(1e6 * b, b)))
+    np.testing.assert_allclose(other, plain, rtol=1e-6)
     cosine = 2 / np.sqrt(14 * 5.25)
-    np.testing.assert_allclose(found, np.arccos(cosine), rtol=1e-6)
+    np.testing.assert_allclose(plain, np.arccos(cosine), rtol=1e-6)
 
 
 @DERIVATIVES
@@ -143,7 +143,7 @@ def test_angle_of_a_zero_vector_is_zero():
 def test_angle_has_the_right_gradient(x64, derivative):
     """It turns a vector in the plane of both, the faster the shorter it is."""
     a, b = np.asarray([0.3, -2.0, 0.7]), np.asarray([1.0, 0.2, 0.1])
-    found = slopes_of(safe.angle, derivative)(a[None], b[None])
+    slopes = slopes_of(safe.angle, derivative)(a[None], b[None])
     lengths = np.linalg.norm(a), np.linalg.norm(b)
     cosine = a @ b / np.prod(lengths)
     sine = np.sqrt(1 - cosine**2)
@@ -151,7 +151,7 @@ def test_angle_has_the_right_gradient(x64, derivative):
         (cosine * a / lengths[0] - b / lengths[1]) / (sine * lengths[0]),
         (cosine * b / lengths[1] - a / lengths[0]) / (sine * lengths[1]),
     )
-    np.testing.assert_allclose([slope[0] for slope in map(np.asarray, found)], wanted, rtol=1e-9)
+    np.testing.assert_allclose([slope[0] for slope in map(np.asarray, slopes)], wanted, rtol=1e-9)
 
 
 @pytest.mark.parametrize("size", [1e-19, 1e-25, 1e25])
@@ -177,7 +177,7 @@ def test_vectors_of_any_length(n: int):
     """Short ones are summed component by component, long ones by a reduction."""
     vectors = np.random.default_rng(n).normal(size=(6, n)).astype(np.float32)
     length = np.linalg.norm(vectors, axis=-1)
-    found, unit, slope = _lengths(vectors)
-    np.testing.assert_allclose(found, length, rtol=1e-6)
+    norms, unit, slope = _lengths(vectors)
+    np.testing.assert_allclose(norms, length, rtol=1e-6)
     np.testing.assert_allclose(unit, vectors / length[:, None], rtol=1e-5)
     np.testing.assert_allclose(slope, vectors / length[:, None], rtol=1e-5)

@@ -43,7 +43,7 @@ def clusters(c: int, bits: int | None = None) -> Clustered:
     """Of two sizes, that are in buckets of their own; some groups are black, the last among them."""
     rng = np.random.default_rng(c)
     sizes = [*[(40, 3), (300, 14), (1, 1)] * 7, (0, 0), (64, 4), (300, 16), (0, 0)]
-    found = [
+    groups = [
         Cluster(
             np.sort(rng.permutation(D)[:s]),
             rng.normal(size=(q, s)).astype(np.float32),
@@ -51,7 +51,7 @@ def clusters(c: int, bits: int | None = None) -> Clustered:
         )
         for s, q in sizes
     ]
-    operator = clustered(found, D)
+    operator = clustered(groups, D)
     assert len(operator.buckets) == 2
     return quantised_clusters(operator, bits) if bits else operator
 
@@ -79,7 +79,7 @@ def answers(operator: Operator) -> dict[str, jax.Array]:
     numbers_back, light_back = pull(radiance)
     # How gradients lie depends on the number of devices; their product with the numbers does not.
     inner = sum(jnp.vdot(x, y) for x, y in zip(*map(jax.tree.leaves, (numbers, numbers_back)), strict=True))
-    found = {
+    results = {
         "apply": forth,
         "transpose": operator.transpose(radiance),
         "rows": operator.rows(jnp.asarray([r - 1, 0, r // 2, r // 2, 1])),
@@ -89,7 +89,7 @@ def answers(operator: Operator) -> dict[str, jax.Array]:
         "vmap of apply": jax.vmap(operator.apply)(random(2, d, 3, seed=3)),
         "vmap of transpose": jax.vmap(operator.transpose)(random(2, r, 3, seed=4)),
     }
-    return found | ({"many lights": operator.apply(random(d, 20))} if c == 1 else {})
+    return results | ({"many lights": operator.apply(random(d, 20))} if c == 1 else {})
 
 
 def expected(operator: Operator) -> dict[str, np.ndarray]:
@@ -108,7 +108,7 @@ def expected(operator: Operator) -> dict[str, np.ndarray]:
     # Rows are linear in the numbers of each of their factors.
     parts = operator.operators if isinstance(operator, Stacked) else (operator,)
     factors = np.repeat([2 if isinstance(part, Clustered) else 1 for part in parts], [part.shape[0] for part in parts])
-    found = {
+    results = {
         "apply": apply(light),
         "transpose": transpose(radiance),
         "rows": rows[[r - 1, 0, r // 2, r // 2, 1]],
@@ -118,16 +118,16 @@ def expected(operator: Operator) -> dict[str, np.ndarray]:
         "vmap of apply": np.stack([apply(light) for light in random(2, d, 3, seed=3)]),
         "vmap of transpose": np.stack([transpose(radiance) for radiance in random(2, r, 3, seed=4)]),
     }
-    return found | ({"many lights": rows[:, 0] @ random(d, 20)} if c == 1 else {})
+    return results | ({"many lights": rows[:, 0] @ random(d, 20)} if c == 1 else {})
 
 
 _written_out = jax.jit(lambda operator: operator.to_matrix())
 
 
-def near(found, wanted, tolerance: float, of: str) -> None:
-    found, wanted = np.asarray(found, float), np.asarray(wanted, float)
-    assert found.shape == wanted.shape, (of, found.shape, wanted.shape)
-    error = np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+def near(actual, wanted, tolerance: float, of: str) -> None:
+    actual, wanted = np.asarray(actual, float), np.asarray(wanted, float)
+    assert actual.shape == wanted.shape, (of, actual.shape, wanted.shape)
+    error = np.linalg.norm(actual - wanted) / np.linalg.norm(wanted)
     assert error < tolerance, (of, error)
 
 
@@ -135,9 +135,9 @@ def check(whole: Operator, mesh: Mesh) -> None:
     """An operator on several devices against what it says on one."""
     split = sharded(whole, mesh)
     assert split.shape == whole.shape
-    found, wanted = answers(split), expected(whole)
+    actual, wanted = answers(split), expected(whole)
     for of, value in wanted.items():
-        near(found[of], value, 1e-4 if of == "vjp in values" else 2e-6, of)
+        near(actual[of], value, 1e-4 if of == "vjp in values" else 2e-6, of)
     r, d, _ = whole.shape
     light, radiance = random(d, 3), random(r, 3, seed=1)
     # What is not compiled by the caller, and that each is the other's adjoint.

@@ -54,8 +54,8 @@ def matrices(*operators):
     ],
 )
 def test_laws(one, other):
-    found, wanted = matrices(one, other)
-    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
+    matrix, wanted = matrices(one, other)
+    np.testing.assert_allclose(matrix, wanted, rtol=1e-4, atol=1e-4)
 
 
 def test_order_matters():

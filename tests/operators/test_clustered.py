@@ -23,8 +23,8 @@ def each_and_many(operator: Clustered, lights):
     return jax.lax.map(operator.apply, lights), operator.apply_many(lights)
 
 
-def relative(found, expected) -> float:
-    return float(np.linalg.norm(np.asarray(found, float) - expected) / np.linalg.norm(expected))
+def relative(actual, expected) -> float:
+    return float(np.linalg.norm(np.asarray(actual, float) - expected) / np.linalg.norm(expected))
 
 
 def of_sizes(sizes: list[tuple[int, int]], c: int = 1, r: int = 4, d: int = 1536) -> list[Cluster]:
@@ -65,12 +65,12 @@ def test_clusters_are_as_small_as_what_they_hold():
     matrix = np.zeros((4, 6, 1, D))
     rng = np.random.default_rng(1)
     matrix[1] = rng.normal(size=(6, 1, 1)) * rng.normal(size=D)
-    found = [cluster(group, np.ones(D), 1e-3)[0] for group in matrix]
-    assert [basis.shape[0] for _, basis, _ in found] == [0, 1, 0, 0]
-    operator = clustered(found, D)
+    clusters = [cluster(group, np.ones(D), 1e-3)[0] for group in matrix]
+    assert [basis.shape[0] for _, basis, _ in clusters] == [0, 1, 0, 0]
+    operator = clustered(clusters, D)
     assert [part.basis.shape for part in operator.buckets] == [(1, 4, 96)]
     assert relative(operator.to_matrix(), matrix.reshape(-1, 1, D)) < 1e-3
-    black = clustered(found[2:], D)
+    black = clustered(clusters[2:], D)
     np.testing.assert_array_equal(black.apply(random(D, 3)), np.zeros((12, 3)))
     np.testing.assert_array_equal(black.transpose(random(12, 3)), np.zeros((D, 3)))
     assert black.nbytes < 4 * D + 100
@@ -106,10 +106,10 @@ def test_every_column_has_all_its_holders_once():
     for column, row in enumerate(np.asarray(operator.column_place)):
         for places in holders:
             if 0 <= row < len(places):
-                found = places[row][places[row] < len(held)]
-                assert (held[found] == column).all()
-                assert len(np.unique(found)) == len(found)
-                count[column] = len(found)
+                valid = places[row][places[row] < len(held)]
+                assert (held[valid] == column).all()
+                assert len(np.unique(valid)) == len(valid)
+                count[column] = len(valid)
             row -= len(places)
     np.testing.assert_array_equal(count, sum(np.bincount(one.support, minlength=1536) for one in clusters))
 
@@ -131,7 +131,7 @@ def test_many_lights_reach_every_group_once(channels, groups, bits):
     operator = clustered(of_sizes([(96, 8), (0, 0), *[(90, 7)] * (groups - 1)], channels), 1536)
     assert [len(part.groups) for part in operator.buckets] == [groups]
     operator = (quantised_clusters(operator, bits) if bits else operator).with_filling(groups + 3)
-    each, many = (np.asarray(found) for found in each_and_many(operator, random(5, 1536, 3)))
+    each, many = (np.asarray(radiance) for radiance in each_and_many(operator, random(5, 1536, 3)))
     assert relative(many, each) < 1e-6
     rows = many.reshape(5, groups + 3, 4, 3)
     assert not rows[:, [1, -2, -1]].any()
@@ -147,9 +147,9 @@ def test_many_lights_of_several_buckets():
 
 def test_light_has_the_channels_of_the_rows():
     operator = clustered(of_sizes([(96, 8)], c=3), 1536)
-    for found in (operator.apply, lambda light: operator.apply_many(light[None])):
+    for apply in (operator.apply, lambda light: operator.apply_many(light[None])):
         with pytest.raises(ValueError, match="light has 2 channels, the operator 3"):
-            found(random(1536, 2))
+            apply(random(1536, 2))
 
 
 def test_eight_bits_are_near_and_small():
@@ -171,8 +171,8 @@ def test_rows_become_clusters():
     rng = np.random.default_rng(0)
     indices = np.sort(rng.random((8, D)).argsort(axis=1)[:, :6], axis=1)
     rows = sparse_rows(indices, rng.normal(size=(8, 3, 6)).astype(np.float32), D)
-    found = clustered(as_clusters(rows, 4, 1e-6), D)
-    assert relative(found.to_matrix(), np.asarray(rows.to_matrix())) < 1e-5
+    operator = clustered(as_clusters(rows, 4, 1e-6), D)
+    assert relative(operator.to_matrix(), np.asarray(rows.to_matrix())) < 1e-5
 
 
 @pytest.mark.parametrize("bits", [8, 32])
@@ -181,14 +181,14 @@ def test_groups_come_out_as_they_went_in(bits):
     operator = clustered(given, 1536)
     if bits < 32:
         operator = quantised_clusters(operator, bits)
-    for one, found in zip(given, operator.clusters(), strict=True):
-        np.testing.assert_array_equal(found.support, one.support)
-        assert found.weights.shape == one.weights.shape
+    for one, restored in zip(given, operator.clusters(), strict=True):
+        np.testing.assert_array_equal(restored.support, one.support)
+        assert restored.weights.shape == one.weights.shape
         if bits == 32:
-            np.testing.assert_array_equal(found.basis, one.basis)
-            np.testing.assert_array_equal(found.weights, one.weights)
+            np.testing.assert_array_equal(restored.basis, one.basis)
+            np.testing.assert_array_equal(restored.weights, one.weights)
         elif len(one.support):
-            assert relative(found.basis, one.basis) < 0.02
+            assert relative(restored.basis, one.basis) < 0.02
 
 
 def test_filling_is_black():

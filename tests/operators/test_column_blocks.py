@@ -26,11 +26,11 @@ def test_the_product_is_that_of_the_clusters(channels, bits):
     every, light = some(channels)
     made = ColumnBlocks(every, COLUMNS, bits)
     wanted = clustered(every, COLUMNS).apply(light)
-    found, count = made.apply(light)
+    product, count = made.apply(light)
     assert made.shape == (5 * ROWS, COLUMNS, channels)
     assert count == made.count == sum(len(one.support) for one in every)
-    assert np.linalg.norm(found - wanted) < 2.0 ** (2 - bits) * np.linalg.norm(wanted)
-    assert not found[2 * ROWS : 3 * ROWS].any()
+    assert np.linalg.norm(product - wanted) < 2.0 ** (2 - bits) * np.linalg.norm(wanted)
+    assert not product[2 * ROWS : 3 * ROWS].any()
 
 
 def test_culling_trades_error_for_blocks():
@@ -39,8 +39,8 @@ def test_culling_trades_error_for_blocks():
     whole, count = made.apply(light)
     errors, counts = [], [count]
     for culling in (1e-3, 0.03, 0.1, 0.3):
-        found, count = made.apply(light, culling)
-        errors.append(float(jnp.linalg.norm(found - whole) / jnp.linalg.norm(whole)))
+        product, count = made.apply(light, culling)
+        errors.append(float(jnp.linalg.norm(product - whole) / jnp.linalg.norm(whole)))
         counts.append(count)
     assert counts == sorted(counts, reverse=True)
     assert counts[-1] < 0.5 * counts[0]
@@ -50,9 +50,9 @@ def test_culling_trades_error_for_blocks():
 
 def test_without_light_nothing_is_added():
     every, light = some(3)
-    found, count = ColumnBlocks(every, COLUMNS).apply(0 * light, 0.1)
+    product, count = ColumnBlocks(every, COLUMNS).apply(0 * light, 0.1)
     assert count == 0
-    assert not found.any()
+    assert not product.any()
 
 
 def test_light_of_another_shape_is_refused():

@@ -90,9 +90,9 @@ def test_solutions_are_differentiable_in_the_numbers():
             solver = lx.Normal(lx.Cholesky())
             return jnp.vdot(weight, lx.linear_solve(as_lineax(Dense(matrix), float), radiance, solver).value)
 
-        found = np.vdot(gradient(matrix), change)
+        slope = np.vdot(gradient(matrix), change)
     ends = [np.vdot(weight, least_squares(matrix + h * change, radiance)) for h in (1e-6, -1e-6)]
-    np.testing.assert_allclose(found, (ends[0] - ends[1]) / 2e-6, rtol=1e-5)
+    np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("c", [1, 3])
@@ -107,16 +107,16 @@ def test_matrices(c):
     np.testing.assert_allclose(whole.as_matrix(), wanted.T, rtol=1e-6)
     assert (whole.in_structure(), whole.out_structure()) == (adapted.out_structure(), adapted.in_structure())
     np.testing.assert_allclose(lx.diagonal(adapted), np.diagonal(wanted), rtol=1e-6)
-    for found, offset in zip(lx.tridiagonal(adapted), (0, -1, 1), strict=True):
-        np.testing.assert_allclose(found, np.diagonal(wanted, offset), rtol=1e-6)
+    for diagonal, offset in zip(lx.tridiagonal(adapted), (0, -1, 1), strict=True):
+        np.testing.assert_allclose(diagonal, np.diagonal(wanted, offset), rtol=1e-6)
 
 
 def test_the_algebra_of_lineax():
     operator, matrix = recording()
     adapted, light = as_lineax(operator), random(D, 3)
     squared = np.einsum("rcd,rce,ec->dc", matrix, matrix, light)
-    found = lx.conj(lx.linearise(2.0 * (adapted.T @ adapted))).mv(light)
-    np.testing.assert_allclose(found, 2 * squared, rtol=1e-4, atol=1e-4)
+    product = lx.conj(lx.linearise(2.0 * (adapted.T @ adapted))).mv(light)
+    np.testing.assert_allclose(product, 2 * squared, rtol=1e-4, atol=1e-4)
     marks = lx.is_symmetric, lx.is_diagonal, lx.is_tridiagonal, lx.has_unit_diagonal, lx.is_lower_triangular
     marks += lx.is_upper_triangular, lx.is_positive_semidefinite, lx.is_negative_semidefinite
     assert not any(mark(adapted) for mark in marks)

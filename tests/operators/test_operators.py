@@ -225,8 +225,8 @@ def random(*shape: int, seed: int = 0, dtype: Any = np.float32) -> Any:
     return np.random.default_rng(seed).normal(size=shape).astype(dtype)
 
 
-def relative(found, expected) -> float:
-    return float(np.linalg.norm(np.asarray(found, float) - expected) / np.linalg.norm(expected))
+def relative(actual, expected) -> float:
+    return float(np.linalg.norm(np.asarray(actual, float) - expected) / np.linalg.norm(expected))
 
 
 def other_values(operator):
@@ -246,11 +246,11 @@ def test_is_its_matrix(name):
     assert (r, c, d) == matrix.shape
     assert operator.nbytes > 0
     light, radiance = random(d, 3), random(r, 3, seed=1)
-    found, back = ask(both, operator, light, radiance)
-    assert (found.shape, back.shape) == ((r, 3), (d, 3))
-    assert found.dtype == back.dtype == np.float32
+    forth, back = ask(both, operator, light, radiance)
+    assert (forth.shape, back.shape) == ((r, 3), (d, 3))
+    assert forth.dtype == back.dtype == np.float32
     matrix = np.broadcast_to(matrix, (r, 3, d))
-    assert relative(found, np.einsum("rcd,dc->rc", matrix, light.astype(float))) < 1e-6
+    assert relative(forth, np.einsum("rcd,dc->rc", matrix, light.astype(float))) < 1e-6
     assert relative(back, np.einsum("rcd,rc->dc", matrix, radiance.astype(float))) < 2e-6
 
 
@@ -260,7 +260,7 @@ def test_is_linear_and_has_its_adjoint(name):
     r, d, _ = operator.shape
     x1, x2, y = random(d, 3), random(d, 3, seed=1), random(r, 3, seed=2)
     answers = [ask(both, operator, x, y) for x in (x1, x2, np.float32(2) * x1 - np.float32(0.5) * x2)]
-    one, two, three = (found.astype(float) for found, _ in answers)
+    one, two, three = (forth.astype(float) for forth, _ in answers)
     assert relative(three, 2.0 * one - 0.5 * two) < 1e-6
     back = answers[0][1].astype(float)
     assert abs(float(np.vdot(one, y)) - float(np.vdot(x1, back))) < 1e-6 * np.linalg.norm(one) * np.linalg.norm(y)
@@ -270,12 +270,12 @@ def test_is_linear_and_has_its_adjoint(name):
 def test_rows_are_rows_of_the_matrix(name):
     operator, matrix = case(name)
     chosen = np.array([len(matrix) - 1, 0, 2, 2, len(matrix) // 2], np.int32)
-    found, whole = ask(written_out, operator, chosen)
+    rows, whole = ask(written_out, operator, chosen)
     r, d, c = operator.shape
-    assert (found.shape, whole.shape) == ((5, c, d), (r, c, d))
-    assert found.dtype == whole.dtype == np.float32
-    np.testing.assert_allclose(found, whole[chosen], rtol=1e-6, atol=1e-6)
-    assert relative(found, matrix[chosen]) < 1e-6
+    assert (rows.shape, whole.shape) == ((5, c, d), (r, c, d))
+    assert rows.dtype == whole.dtype == np.float32
+    np.testing.assert_allclose(rows, whole[chosen], rtol=1e-6, atol=1e-6)
+    assert relative(rows, matrix[chosen]) < 1e-6
     assert relative(whole, matrix) < 1e-6
 
 
@@ -285,8 +285,8 @@ def test_rows_are_chosen_by_indices_of_any_kind(name):
     operator, matrix = case(name)
     chosen: Any = np.array([len(matrix) - 1, 0, 2, 2], np.int32)
     traced = jax.jit(lambda indices: operator.rows(indices))(chosen)
-    for found in (operator.rows(chosen), operator.rows(jax.device_put(chosen)), traced):
-        assert relative(found, matrix[chosen]) < 1e-6
+    for rows in (operator.rows(chosen), operator.rows(jax.device_put(chosen)), traced):
+        assert relative(rows, matrix[chosen]) < 1e-6
     assert operator.rows(chosen[:0]).shape == (0, *matrix.shape[1:])
 
 
@@ -329,8 +329,8 @@ def precisions(operator: Operator, dtype) -> list:
     shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape in ((d, 3), (_MANY, d, 3), (r, 3))]
 
     def everything(light, lights, radiance):
-        found = operator.apply(light), operator.apply_many(lights), operator.transpose(radiance)
-        return *found, operator.rows(first)
+        products = operator.apply(light), operator.apply_many(lights), operator.transpose(radiance)
+        return *products, operator.rows(first)
 
     return [array.dtype for array in jax.eval_shape(everything, *shapes)]
 
@@ -377,8 +377,8 @@ def test_as_lineax(name):
     light, radiance = random(d, c), random(r, c, seed=1)
     adapted = as_lineax(operator)
     assert (adapted.in_structure().shape, adapted.out_structure().shape) == ((d, c), (r, c))
-    found, back = jax.jit(lambda light, radiance: (adapted.mv(light), adapted.T.mv(radiance)))(light, radiance)
-    np.testing.assert_allclose(found, np.einsum("rcd,dc->rc", matrix, light), rtol=1e-5, atol=1e-5)
+    forth, back = jax.jit(lambda light, radiance: (adapted.mv(light), adapted.T.mv(radiance)))(light, radiance)
+    np.testing.assert_allclose(forth, np.einsum("rcd,dc->rc", matrix, light), rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(back, np.einsum("rcd,rc->dc", matrix, radiance), rtol=1e-4, atol=1e-4)
 
 
@@ -401,9 +401,9 @@ def test_many_lights_are_each_by_itself(name, counts):
     operator, matrix = case(name)
     r, d, _ = operator.shape
     several = [random(count, d, 3) for count in counts]
-    first, *found = ask(of_many, operator, several)
+    first, *rest = ask(of_many, operator, several)
     matrix = np.broadcast_to(matrix, (r, 3, d))
-    for lights, many in zip([several[0], *several], [first, *found], strict=True):
+    for lights, many in zip([several[0], *several], [first, *rest], strict=True):
         each = np.stack([ask(both, operator, light, random(r, 3, seed=1))[0] for light in lights])
         assert many.shape == (len(lights), r, 3)
         assert many.dtype == np.float32
@@ -499,6 +499,6 @@ def test_indices_take_the_smallest_type_that_holds_them(columns, dtype):
     light = np.zeros((columns, 1), np.float32)
     light[-1] = 3
     assert operator.shape == (1, columns, 1)
-    found, back = ask(both, operator, light, np.ones((1, 1), np.float32))
-    np.testing.assert_allclose(found, [[6]])
+    forth, back = ask(both, operator, light, np.ones((1, 1), np.float32))
+    np.testing.assert_allclose(forth, [[6]])
     np.testing.assert_array_equal(np.nonzero(back)[0], [0, columns - 1])

@@ -70,18 +70,18 @@ def test_extremes(x64, host, bits, dtype):
     rows += [[smallest, 0, 0], [1e-35, -5e-36, 0], [1e-30, -1e-30, 1e-36], [smallest / 1e5, 0, 0]]
     values = np.asarray(rows, dtype)
     kept = quantised(values if host else jnp.asarray(values), bits)
-    found = np.asarray(kept.decoded())
-    assert found.dtype == dtype
-    assert np.isfinite(found).all()
+    restored = np.asarray(kept.decoded())
+    assert restored.dtype == dtype
+    assert np.isfinite(restored).all()
     scale = np.asarray(kept.scale)
     assert np.isfinite(scale).all()
     assert ((scale == 0) | (scale >= smallest)).all()
     # What is smaller than the smallest scale may become zero.
     half = np.maximum(scale / 2, STEPS[bits] * smallest)
-    assert (np.abs(found / 2 - values / 2) <= half / 2 + 1e-6 * np.abs(values)).all()
-    np.testing.assert_array_equal(found[0], 0)
-    np.testing.assert_allclose(found[2, :2], values[2, :2], rtol=1e-6)
-    np.testing.assert_allclose(found[3, 0], 1e6, rtol=1e-6)
+    assert (np.abs(restored / 2 - values / 2) <= half / 2 + 1e-6 * np.abs(values)).all()
+    np.testing.assert_array_equal(restored[0], 0)
+    np.testing.assert_allclose(restored[2, :2], values[2, :2], rtol=1e-6)
+    np.testing.assert_allclose(restored[3, 0], 1e6, rtol=1e-6)
 
 
 @pytest.mark.parametrize("host", [True, False])
@@ -90,11 +90,11 @@ def test_what_is_not_finite_stays_seen_and_spoils_only_its_run(host, bad):
     values = numbers(2, 8)
     values[1, 2] = bad
     kept = quantised(values if host else jnp.asarray(values), 8, 4)
-    found = np.asarray(kept.decoded())
-    assert np.isnan(found[1, :4]).all()
+    restored = np.asarray(kept.decoded())
+    assert np.isnan(restored[1, :4]).all()
     good = np.asarray(quantised(numbers(2, 8), 8, 4).decoded())
     others = np.arange(16).reshape(2, 8) // 4 != 2
-    np.testing.assert_array_equal(found[others], good[others])
+    np.testing.assert_array_equal(restored[others], good[others])
 
 
 def test_numpy_and_jax_make_the_same_each_by_itself():

@@ -55,6 +55,6 @@ class Striped(Punctual):
 
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """What the other light gives, in every second stripe."""
-        found = self.lamp.at(positions)
+        incident = self.lamp.at(positions)
         lit = jnp.floor(positions[:, self.axis] / self.width) % 2 == 0
-        return found._replace(irradiance=found.irradiance * lit[:, None], within=lit)
+        return incident._replace(irradiance=incident.irradiance * lit[:, None], within=lit)

@@ -37,9 +37,9 @@ def folder(tmp_path_factory) -> pathlib.Path:
 
 @pytest.fixture(scope="module")
 def precomputed(folder) -> PrecomputedIndirect:
-    found = load(folder)
-    assert isinstance(found, PrecomputedIndirect)
-    return found
+    loaded = load(folder)
+    assert isinstance(loaded, PrecomputedIndirect)
+    return loaded
 
 
 def test_a_store_holds_transport_from_a_cloud_and_the_cloud(folder, precomputed):

@@ -93,8 +93,8 @@ def _image(folder: pathlib.Path, scene: Scene) -> np.ndarray:
     return open_transport(folder).picture(scene.lights)
 
 
-def _relative(found, wanted) -> float:
-    return float(np.linalg.norm(np.subtract(found, wanted)) / np.linalg.norm(wanted))
+def _relative(actual, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(actual, wanted)) / np.linalg.norm(wanted))
 
 
 # What is there is used again.
@@ -422,8 +422,8 @@ def test_what_a_store_holds_is_a_pytree_of_arrays(made):
     assert jax.tree.structure(one) == jax.tree.structure(other)
     light = np.random.default_rng(4).random((6 * METHOD.resolution**2, 3)).astype(np.float32)
     compiled = jax.jit(lambda transport, light: TransportRelighter(transport).terms(light))
-    for found, wanted in zip(compiled(one, light), TransportRelighter(other).terms(light), strict=True):
-        np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+    for block_terms, wanted in zip(compiled(one, light), TransportRelighter(other).terms(light), strict=True):
+        np.testing.assert_allclose(block_terms, wanted, rtol=1e-5, atol=1e-6)
     with _compiled() as anew:
         compiled(other, light)
     assert anew == []
@@ -601,11 +601,11 @@ def test_kept_energy_is_that_of_the_rows(small, tmp_path):
 
 def _sparse(transport: PrecomputedTransport) -> list[tuple[np.ndarray, list[np.ndarray]]]:
     """Of every block's rows which coefficients they keep, and their values, channel by channel."""
-    found = []
+    blocks = []
     for operator in transport.operator.operators:
         assert isinstance(operator, SparseRows)
-        found.append((np.asarray(operator.indices), [np.asarray(values) for values in operator.values]))
-    return found
+        blocks.append((np.asarray(operator.indices), [np.asarray(values) for values in operator.values]))
+    return blocks
 
 
 def test_rebake_gives_what_is_stored(small):
@@ -613,8 +613,8 @@ def test_rebake_gives_what_is_stored(small):
     again = rebake(transport, reflections_of(transport))
     for (indices, values), (old_indices, old_values) in zip(_sparse(again), _sparse(transport), strict=True):
         np.testing.assert_array_equal(indices, old_indices)
-        for found, wanted in zip(values, old_values, strict=True):
-            np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-7 * float(np.abs(wanted).max()))
+        for channel, wanted in zip(values, old_values, strict=True):
+            np.testing.assert_allclose(channel, wanted, rtol=1e-6, atol=1e-7 * float(np.abs(wanted).max()))
 
 
 def test_rebake_with_another_material_keeps_the_sets(small):
@@ -773,11 +773,11 @@ def test_gradients_in_the_light_in_float32(small: TransportRelighter, lit, sky, 
     for low, high in (((10.0, 1.5), (30.0, 1.5)), ((10.0, 1.5), (10.0, 3.5))):
         step, middle = np.subtract(high, low), np.add(high, low) / 2
         wanted = value(pixels, *high) - value(pixels, *low)
-        for found in slopes((pixels, *middle), (0 * pixels, *step)):
-            assert found == pytest.approx(wanted, rel=1e-3)
+        for slope in slopes((pixels, *middle), (0 * pixels, *step)):
+            assert slope == pytest.approx(wanted, rel=1e-3)
     other = generator.normal(size=pixels.shape)
-    for found in slopes((pixels, 10.0, 1.5), (other, 0.0, 0.0)):
-        assert found == pytest.approx(value(other, 10.0, 1.5), rel=1e-3)
+    for slope in slopes((pixels, 10.0, 1.5), (other, 0.0, 0.0)):
+        assert slope == pytest.approx(value(other, 10.0, 1.5), rel=1e-3)
 
 
 def test_gradients_are_finite_at_the_extremes(small: TransportRelighter, lit):
@@ -840,15 +840,15 @@ def test_gradient_of_the_picture_in_the_materials(small: TransportRelighter):
 @contextlib.contextmanager
 def _compiled():
     """Counts what JAX traces and compiles meanwhile, in a list that grows."""
-    found = []
+    events = []
 
     def listen(event: str, *_, **__):
         if event.startswith("/jax/core/compile/"):
-            found.append(event)
+            events.append(event)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
-        yield found
+        yield events
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
 
@@ -861,13 +861,13 @@ def test_nothing_is_traced_again_for_other_light_or_view(scene, made):
     noise = jr.environment(np.random.default_rng(0).random(sky.pixels.shape))
     turned = sky.with_(rotate_y=37.5, scale=0.5)
     aside = dataclasses.replace(scene.camera, origin=(-0.9, 1.2, 2.5), fov_y=50.0)
-    with _compiled() as found:
+    with _compiled() as events:
         pictures = [picture(noise, scene.camera), picture(turned, scene.camera), picture(sky, aside)]
-        assert found == []
+        assert events == []
         assert all(_relative(other, first) > 0.01 for other in pictures)
         assert np.sum(relighter.view(aside).surfaces.covered) != np.sum(relighter.view().surfaces.covered)
         picture(sky, dataclasses.replace(scene.camera, width=30))
-        assert found, "the count does not show a new shape"
+        assert events, "the count does not show a new shape"
 
 
 def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
@@ -875,17 +875,17 @@ def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
     changed = {**scene.materials, "stone": jr.lambert(0.9), "floor": jr.lambert([0.1, 0.2, 0.3])}
     shutil.copytree(made, tmp_path / "store")
     precompute(dataclasses.replace(scene, materials={**changed, "stone": jr.lambert(0.8)}), METHOD, tmp_path / "a")
-    with _compiled() as found:
+    with _compiled() as events:
         summary = precompute(dataclasses.replace(scene, materials=changed), METHOD, tmp_path / "store")
     assert summary.rays == 0
-    assert found == []
+    assert events == []
 
 
 def test_a_material_may_have_its_own_number_of_terms(tmp_path):
     scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 2})
     precompute(scene, dataclasses.replace(METHOD, terms=3), tmp_path)
-    found = {block.material: block.reflection.terms for block in load_transport(tmp_path).blocks}
-    assert found == {"paper": 1, "gloss": 2}
+    terms = {block.material: block.reflection.terms for block in load_transport(tmp_path).blocks}
+    assert terms == {"paper": 1, "gloss": 2}
 
 
 @pytest.mark.parametrize(

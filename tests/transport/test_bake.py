@@ -84,8 +84,8 @@ def case(name: str) -> tuple[Any, Any, np.ndarray]:
     return (bits, frames, reflection, directions_for(N)), reflection, rows_by_formula(bits, frames, reflection)
 
 
-def relative(found, expected) -> float:
-    return float(np.linalg.norm(np.asarray(found, float) - expected) / np.linalg.norm(expected))
+def relative(actual, expected) -> float:
+    return float(np.linalg.norm(np.asarray(actual, float) - expected) / np.linalg.norm(expected))
 
 
 directions_for = functools.cache(bake.directions_for)

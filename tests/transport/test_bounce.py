@@ -62,8 +62,8 @@ def picture(transport: PrecomputedTransport, light: np.ndarray = LIGHT) -> np.nd
 encoded = jax.jit(HaarFaces(8).encode)
 
 
-def relative(found, wanted) -> float:
-    return float(np.linalg.norm(np.subtract(found, wanted)) / np.linalg.norm(wanted))
+def relative(actual, wanted) -> float:
+    return float(np.linalg.norm(np.subtract(actual, wanted)) / np.linalg.norm(wanted))
 
 
 @pytest.fixture(scope="module")
@@ -78,9 +78,9 @@ def direct(scene, tmp_path_factory) -> PrecomputedTransport:
 
 def test_a_closed_box_is_its_series_at_each_bounce(tmp_path):
     for bounces in (1, 2, 3):
-        found = radiance_at_vertices(precomputed(room(0.5), dataclasses.replace(ROOM, bounces=bounces), tmp_path))
+        radiance = radiance_at_vertices(precomputed(room(0.5), dataclasses.replace(ROOM, bounces=bounces), tmp_path))
         # Rays through the corners of texels cover every direction, so that no light is lost at edges or corners.
-        np.testing.assert_allclose(found, sum(0.5**i for i in range(bounces + 1)), rtol=1e-3)
+        np.testing.assert_allclose(radiance, sum(0.5**i for i in range(bounces + 1)), rtol=1e-3)
 
 
 def test_bounces_end_where_the_rest_is_below_the_tolerance(tmp_path):
@@ -89,8 +89,8 @@ def test_bounces_end_where_the_rest_is_below_the_tolerance(tmp_path):
     transport = load_transport(build.folder, build.header)
     assert transport.method.bounces < 15
     assert "of 50 bounces were made" in build.notes[-1]
-    found = radiance_at_vertices(transport)
-    assert 3 / (1 - 0.8) * (1 - 0.1) < found.min() <= found.max() < 3 / (1 - 0.8)
+    radiance = radiance_at_vertices(transport)
+    assert 3 / (1 - 0.8) * (1 - 0.1) < radiance.min() <= radiance.max() < 3 / (1 - 0.8)
 
 
 def test_emission_is_seen_and_lights_what_does_not_emit(tmp_path):
@@ -150,8 +150,8 @@ def test_each_side_is_seen_by_what_is_before_it(tmp_path):
         terms = np.zeros((128 * len(above.groups), 1, 3), np.float32)
         terms[lit] = 1
         of_block = [terms if block is above else None for block in transport.blocks]
-        found = gather.light(hits, jax.device_put(np.ones((6 * 8**2, 128, 1, 1), np.float32)), of_block)
-        assert (found.max() > 0.1) == is_seen
+        radiance = gather.light(hits, jax.device_put(np.ones((6 * 8**2, 128, 1, 1), np.float32)), of_block)
+        assert (radiance.max() > 0.1) == is_seen
 
 
 @pytest.mark.parametrize(
@@ -168,10 +168,10 @@ def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, coeff
     terms = [np.asarray(part) for part in TransportRelighter(transport).terms(light)]
     for block in transport.blocks:
         frames, group = frames_of(transport.receivers, block.groups), int(block.groups[0])
-        (found,) = gather.rows(transport.receivers, group, frames[0], [of_group(block.reflection, 0)])
-        assert found.emitted is None
-        assert found.rows.shape == (128, block.reflection.terms, 3, len(found.columns))
-        assert (np.diff(found.columns) > 0).all()
+        (gathered_rows,) = gather.rows(transport.receivers, group, frames[0], [of_group(block.reflection, 0)])
+        assert gathered_rows.emitted is None
+        assert gathered_rows.rows.shape == (128, block.reflection.terms, 3, len(gathered_rows.columns))
+        assert (np.diff(gathered_rows.columns) > 0).all()
         hits = gather.hits(transport.receivers, group)
         seen = np.zeros((128, 6 * 8**2), bool)
         seen[hits.receiver, hits.texel] = True
@@ -179,7 +179,7 @@ def test_gathered_rows_are_gathered_light(scene, tmp_path_factory, direct, coeff
         side = bake.bake_rows(bits, frames[0], block.reflection, bake.directions_for(8), cubemap.Texels(8))
         gathered = gather.light(hits, np.moveaxis(side, -1, 0), terms)
         assert np.abs(gathered).max() > 0.01
-        assert relative(np.einsum("mkcn,nc->mkc", found.rows, light[found.columns]), gathered) < 2e-3
+        assert relative(np.einsum("mkcn,nc->mkc", gathered_rows.rows, light[gathered_rows.columns]), gathered) < 2e-3
 
 
 def test_reflections_gather_together_what_each_gathers(scene, direct):
@@ -188,10 +188,10 @@ def test_reflections_gather_together_what_each_gathers(scene, direct):
     frames, group = frames_of(direct.receivers, one.groups)[0], int(one.groups[0])
     reflections = [of_group(block.reflection, 0) for block in (one, other)]
     both = gather.rows(direct.receivers, group, frames, reflections)
-    for found, reflection in zip(both, reflections, strict=True):
+    for gathered, reflection in zip(both, reflections, strict=True):
         (alone,) = gather.rows(direct.receivers, group, frames, [reflection])
-        np.testing.assert_array_equal(found.columns, alone.columns)
-        np.testing.assert_allclose(found.rows, alone.rows, rtol=1e-5, atol=1e-6)
+        np.testing.assert_array_equal(gathered.columns, alone.columns)
+        np.testing.assert_allclose(gathered.rows, alone.rows, rtol=1e-5, atol=1e-6)
 
 
 def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_path):
@@ -199,10 +199,10 @@ def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_p
     gather = bounce.Gather(direct, "key", 8)
     block, before, after = transport.blocks[0], direct.operator.operators[0], transport.operator.operators[0]
     frames = frames_of(direct.receivers, block.groups)
-    (found,) = gather.rows(direct.receivers, int(block.groups[0]), frames[0], [of_group(block.reflection, 0)])
+    (gathered,) = gather.rows(direct.receivers, int(block.groups[0]), frames[0], [of_group(block.reflection, 0)])
     chosen: Any = np.arange(0, 128 * block.reflection.terms, 17)
     wanted = np.array(np.broadcast_to(before.rows(chosen), (len(chosen), 3, 6 * 8**2)))
-    wanted[..., found.columns] += found.rows.reshape(-1, *found.rows.shape[2:])[chosen]
+    wanted[..., gathered.columns] += gathered.rows.reshape(-1, *gathered.rows.shape[2:])[chosen]
     assert relative(after.rows(chosen), wanted) < 1e-5
 
 

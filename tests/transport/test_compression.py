@@ -47,12 +47,12 @@ def whole_rows(transport: PrecomputedTransport, block: Block) -> np.ndarray:
     """All coefficients of the rows [g, m k, c, d] of a block's groups, baked from visibility."""
     visibility = transport.stored.visibility
     assert visibility is not None
-    frames, found = frames_of(transport.receivers, block.groups), []
+    frames, rows = frames_of(transport.receivers, block.groups), []
     for i, group in enumerate(block.groups):
         bits, reflection = visibility.read("bits", int(group)), of_group(block.reflection, i)
-        found.append(bake.bake_rows(jax.device_put(bits), frames[i], reflection, bake.directions_for(8), BASIS))
-    m, k, c, d = found[0].shape
-    return np.reshape(found, (-1, m * k, c, d))
+        rows.append(bake.bake_rows(jax.device_put(bits), frames[i], reflection, bake.directions_for(8), BASIS))
+    m, k, c, d = rows[0].shape
+    return np.reshape(rows, (-1, m * k, c, d))
 
 
 def written_out(operator: Operator) -> np.ndarray:
@@ -81,8 +81,8 @@ def test_the_error_under_natural_light_stays_within_the_tolerance(scene, folder)
             assert left.max() <= tolerance + 1e-5
             if tolerance:
                 assert left.max() > tolerance / 20
-            found, wanted = (x @ lights for x in (off, true))
-            assert np.linalg.norm(found) <= 1.3 * tolerance * np.linalg.norm(wanted) + 1e-4
+            error, wanted = (x @ lights for x in (off, true))
+            assert np.linalg.norm(error) <= 1.3 * tolerance * np.linalg.norm(wanted) + 1e-4
         sizes.append(transport.operator.nbytes)
     assert sizes == sorted(sizes, reverse=True)
     assert len(set(sizes)) == 3
@@ -183,6 +183,6 @@ def test_bounces_are_gathered_from_codes(scene, folder):
     dials = {"compression_tolerance": 0.02, "bounces": 1, "gather_resolution": 8}
     light = np.random.default_rng(4).normal(size=(6 * 8**2, 3)) * natural_spectrum(8)[:, None]
     light = light.astype(np.float32)
-    wanted, found = (TransportRelighter(opened(scene, folder, bits=bits, **dials)).terms(light) for bits in (32, 8))
-    for one, other in zip(found, wanted, strict=True):
+    wanted, coded = (TransportRelighter(opened(scene, folder, bits=bits, **dials)).terms(light) for bits in (32, 8))
+    for one, other in zip(coded, wanted, strict=True):
         assert np.linalg.norm(one - other) < 2e-2 * np.linalg.norm(other)

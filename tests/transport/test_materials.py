@@ -75,8 +75,8 @@ def test_pictures_are_linear_in_the_parts_of_a_mixture(tmp_path, receivers):
         return _picture(_scene(Material((part,)), jr.lambert(0)), tmp_path, receivers)
 
     wanted = sum(alone(part) for part in mixed.components)
-    found = _picture(_scene(mixed, jr.lambert(0)), tmp_path, receivers)
-    np.testing.assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+    image = _picture(_scene(mixed, jr.lambert(0)), tmp_path, receivers)
+    np.testing.assert_allclose(image, wanted, rtol=1e-5, atol=1e-6)
 
 
 def test_a_texture_is_stored_apart_from_grey_transport_and_changing_it_bakes_nothing(tmp_path):
@@ -161,11 +161,11 @@ def test_spot_with_its_texture_against_brute_force(tmp_path):
     camera = jr.Camera((0.5, 0.7, -2.6), (0, 0.45, 0), fov_y=8, width=12, height=12)
     scene = Scene([Part(mesh, "cow")], {"cow": textured_lambert(Texture(jax.device_put(pixels)))}, camera)
     relighter = _open(scene, tmp_path, "pixels")
-    found = np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
+    image = np.asarray(relighter.shade_terms(relighter.terms(LIGHT), relighter.view()))
     wanted = _brute_force(mesh, pixels, camera, METHOD.resolution, LIGHT.astype(float))
     assert (wanted.max(axis=-1) > 0).mean() > 0.3
     # A ray in a hundred thousand may fall on the other side of an edge.
-    np.testing.assert_allclose(np.linalg.norm(found - wanted) / np.linalg.norm(wanted), 0, atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(image - wanted) / np.linalg.norm(wanted), 0, atol=1e-3)
 
 
 # Two-sided surfaces.
@@ -181,8 +181,8 @@ def test_white_furnace_of_both_sides(tmp_path, receivers, height):
     relighter = open_transport(precompute(scene, method, tmp_path).folder)
     view = relighter.view()
     assert np.asarray(view.surfaces.covered).all()
-    found = relighter.shade_terms(relighter.terms(np.ones((6 * 32**2, 3), np.float32)), view)
-    np.testing.assert_allclose(found, 1, atol=1e-3)
+    image = relighter.shade_terms(relighter.terms(np.ones((6 * 32**2, 3), np.float32)), view)
+    np.testing.assert_allclose(image, 1, atol=1e-3)
     assert len(relighter.transport.surfaces.faces) == len(sheet.faces)
 
 

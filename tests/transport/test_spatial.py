@@ -63,9 +63,9 @@ SAME, HALVES = [5] * 8, [2, 2, 2, 2, 40, 40, 40, 40]
 
 
 def test_maps_that_are_the_same_everywhere_are_the_plain_brdf(tmp_path):
-    found = _picture(Material((Component(_maps(SAME)),)), tmp_path / "maps")
-    np.testing.assert_allclose(found, _picture(PLAIN, tmp_path / "plain"), rtol=1e-4, atol=1e-6)
-    assert found.any()
+    image = _picture(Material((Component(_maps(SAME)),)), tmp_path / "maps")
+    np.testing.assert_allclose(image, _picture(PLAIN, tmp_path / "plain"), rtol=1e-4, atol=1e-6)
+    assert image.any()
 
 
 def test_every_pixel_has_the_lobes_at_its_own_place(tmp_path):
@@ -85,16 +85,16 @@ VERTICES = jr.Transport("vertices", resolution=8, coefficients="all", terms=40, 
 
 @pytest.mark.slow
 def test_at_vertices_equal_maps_are_the_factored_plain_brdf(tmp_path):
-    found, _, _ = _seen_at(Material((Component(_maps(SAME)),)), tmp_path / "maps", VERTICES)
+    image, _, _ = _seen_at(Material((Component(_maps(SAME)),)), tmp_path / "maps", VERTICES)
     white = Material((Component(white_lambert(), (constant([0.2] * 3),)), Component(SHINE)))
     wanted, _, _ = _seen_at(white, tmp_path / "plain", VERTICES)
-    np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(image, wanted, rtol=2e-3, atol=1e-5)
 
 
 def test_at_vertices_each_half_has_its_own_lobes(tmp_path):
     """Many terms: what pixels bake exactly, but for what maps of 24² texels leave."""
     material = Material((Component(_maps([2, 2, 2, 2, 12, 12, 12, 12])),))
-    found, relighter, made = _seen_at(material, tmp_path / "vertices", VERTICES)
+    image, relighter, made = _seen_at(material, tmp_path / "vertices", VERTICES)
     assert [block.reflection.terms for block in relighter.transport.blocks] == [1, 40]
     assert [block.reflection.channels for block in relighter.transport.blocks] == [1, 1]
     (note,) = made.notes
@@ -103,16 +103,16 @@ def test_at_vertices_each_half_has_its_own_lobes(tmp_path):
     halves = np.linalg.norm(wanted[3] - wanted[8])
     assert halves > 0.05 * np.linalg.norm(wanted[3])
     for rows in (slice(0, 5), slice(7, None)):
-        assert np.linalg.norm(found[rows] - wanted[rows]) < 0.03 * np.linalg.norm(wanted[rows])
+        assert np.linalg.norm(image[rows] - wanted[rows]) < 0.03 * np.linalg.norm(wanted[rows])
 
 
 def test_maps_that_only_are_diffuse_bake_one_term(tmp_path):
     maps = _maps(SAME)
     black = Material((Component(dataclasses.replace(maps, scale=jax.device_put(0 * np.asarray(maps.scale)))),))
-    found, relighter, _ = _seen_at(black, tmp_path / "black", VERTICES)
+    image, relighter, _ = _seen_at(black, tmp_path / "black", VERTICES)
     assert len(relighter.transport.blocks) == 1
     wanted, _, _ = _seen_at(PAPER, tmp_path / "lambert", VERTICES)
-    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-6)
 
 
 def test_shared_factors_are_found_in_the_store_again_and_again_when_damaged(tmp_path, monkeypatch):
@@ -143,12 +143,12 @@ def test_pixels_bake_the_level_that_they_are_as_large_as(tmp_path):
         return _spatial(_filled(albedo, side, side, 3), *none)
 
     maps = dataclasses.replace(level(sides[0], 0.0), coarser=tuple(level(side, 0.2) for side in sides[1:]))
-    found = _picture(Material((Component(maps),)), tmp_path / "maps")
+    image = _picture(Material((Component(maps),)), tmp_path / "maps")
     wanted = _picture(PAPER, tmp_path / "plain")
-    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-6)
 
 
 def test_stripes_finer_than_pixels_are_their_mean(tmp_path):
     stripes = _filled((np.arange(512) % 2)[None, :, None], 512, 512, 3)
-    found = _picture(textured_lambert(Texture(jax.device_put(stripes))), tmp_path / "stripes")
-    np.testing.assert_allclose(found, _picture(textured_lambert(constant([0.5] * 3)), tmp_path / "grey"), rtol=1e-3)
+    image = _picture(textured_lambert(Texture(jax.device_put(stripes))), tmp_path / "stripes")
+    np.testing.assert_allclose(image, _picture(textured_lambert(constant([0.5] * 3)), tmp_path / "grey"), rtol=1e-3)

@@ -41,13 +41,13 @@ def main():
             rows.append([float(f"{x:.6g}") for x in plugin.eval(mitsuba.BSDFContext(), seen, mitsuba.Vector3f(*i))])
         return rows
 
-    found = {Path(name).name: values(name) for name in sys.argv[1:]}
+    by_file = {Path(name).name: values(name) for name in sys.argv[1:]}
     with tempfile.TemporaryDirectory() as folder:
         for name, made in MADE.items():
             path = Path(folder, "made.bsdf")
             path.write_bytes(writers.rgl(**made))
-            found[name] = values(str(path))
-    content = {"omega_i": omega_i.tolist(), "omega_o": omega_o.tolist(), "made": MADE, "values": found}
+            by_file[name] = values(str(path))
+    content = {"omega_i": omega_i.tolist(), "omega_o": omega_o.tolist(), "made": MADE, "values": by_file}
     lines = ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
     Path(__file__).with_suffix(".json").write_text("{" + lines + "}\n")
 

@@ -78,10 +78,10 @@ def test_the_interpolation_goes_through_the_pairs_and_is_reciprocal_and_its_own_
     brdf, note = interpolated(pairs, SMALL)
     assert note.startswith("goes through 100.0% of their values")
     i, o = pairs.omega_i, pairs.omega_o
-    found = evaluate(brdf, i, o)
-    np.testing.assert_allclose(found, pairs.values, rtol=0.01)
-    np.testing.assert_allclose(evaluate(brdf, o, i), found, rtol=1e-4)
-    np.testing.assert_allclose(evaluate(brdf, i * [1, -1, 1], o * [1, -1, 1]), found, rtol=1e-2)
+    at_pairs = evaluate(brdf, i, o)
+    np.testing.assert_allclose(at_pairs, pairs.values, rtol=0.01)
+    np.testing.assert_allclose(evaluate(brdf, o, i), at_pairs, rtol=1e-4)
+    np.testing.assert_allclose(evaluate(brdf, i * [1, -1, 1], o * [1, -1, 1]), at_pairs, rtol=1e-2)
     values = np.asarray(brdf.values)
     assert pairs.values.min() * 0.5 < values.min() <= values.max() < pairs.values.max() * 2
 
@@ -102,13 +102,13 @@ def test_pairs_left_out_are_predicted():
 @pytest.mark.slow
 def test_a_measured_file_goes_through_its_pairs():
     path = shared("data", "brdf", "cornell_garnet_red.brdf")
-    found = load_brdf(path)
+    loaded = load_brdf(path)
     pairs = read_pairs(Content(path))
-    assert found.kind == "Cornell"
+    assert loaded.kind == "Cornell"
     assert len(pairs.values) == 1439
-    assert "144 of 4,317 Rec.709 values were negative" in found.notes[0]
-    assert "interpolated from 1,439 pairs" in found.notes[1]
-    apart = np.abs(evaluate(found.brdf, pairs.omega_i, pairs.omega_o) - pairs.values) / (pairs.values + 1e-3)
+    assert "144 of 4,317 Rec.709 values were negative" in loaded.notes[0]
+    assert "interpolated from 1,439 pairs" in loaded.notes[1]
+    apart = np.abs(evaluate(loaded.brdf, pairs.omega_i, pairs.omega_o) - pairs.values) / (pairs.values + 1e-3)
     assert np.mean(apart < 0.01) > 0.9
     assert np.mean(apart < 0.1) > 0.99
 

@@ -65,12 +65,12 @@ def file(tmp_path_factory):
 
 def test_at_its_entries_a_table_is_what_is_written(file):
     """Those of which all neighbours are valid, too."""
-    found = load_brdf(file)
-    assert (found.kind, found.notes) == ("MERL", ())
+    loaded = load_brdf(file)
+    assert (loaded.kind, loaded.notes) == ("MERL", ())
     places = np.argwhere(least_cosine(SHAPE) > 0.05)[::4111]
-    values = at_entries(found.brdf, places)
+    values = at_entries(loaded.brdf, places)
     np.testing.assert_allclose(values, smooth()[tuple(places.T)], rtol=2e-3)
-    assert _table(found.brdf).shape == (*SHAPE, 3)
+    assert _table(loaded.brdf).shape == (*SHAPE, 3)
 
 
 def test_no_invalid_mark_is_left_in_any_value(file):
@@ -89,9 +89,9 @@ def test_invalid_entries_above_the_surface_are_filled_and_counted(tmp_path):
     values[10, 10, 20:23, 1] = -0.5
     path = tmp_path / "holes.binary"
     path.write_bytes(writers.merl(values))
-    found = load_brdf(path)
-    assert found.notes == ("holes.binary: 3 entries above the surface are invalid; the nearest is taken",)
-    np.testing.assert_allclose(_table(found.brdf)[10, 10, 21], smooth()[10, 10, 21], rtol=0.2)
+    loaded = load_brdf(path)
+    assert loaded.notes == ("holes.binary: 3 entries above the surface are invalid; the nearest is taken",)
+    np.testing.assert_allclose(_table(loaded.brdf)[10, 10, 21], smooth()[10, 10, 21], rtol=0.2)
 
 
 def test_a_surrogate_is_what_its_writer_writes(tmp_path):

@@ -40,8 +40,8 @@ def made(folder: Path, name: str) -> Path:
 
 @pytest.mark.parametrize("name", ORACLE["values"])
 def test_values_are_those_of_mitsuba(tmp_path, name):
-    found = evaluate(load_brdf(made(tmp_path, name)).brdf) * OMEGA_I[:, 2:]
-    np.testing.assert_allclose(found, np.array(ORACLE["values"][name]), rtol=2e-4, atol=2e-5)
+    values = evaluate(load_brdf(made(tmp_path, name)).brdf) * OMEGA_I[:, 2:]
+    np.testing.assert_allclose(values, np.array(ORACLE["values"][name]), rtol=2e-4, atol=2e-5)
 
 
 @pytest.mark.parametrize(
@@ -69,9 +69,9 @@ def test_negative_values_are_taken_as_0_and_counted(tmp_path):
     fields["rgb"][0, 1, :, 2, 2:4] = -0.01
     path = tmp_path / "a.bsdf"
     path.write_bytes(writers.tensor_file(fields))
-    found = load_brdf(path)
-    assert found.notes == ("a.bsdf: 6 of 432 values were negative, down to -0.01, and are taken as 0",)
-    assert evaluate(found.brdf).min() >= 0
+    loaded = load_brdf(path)
+    assert loaded.notes == ("a.bsdf: 6 of 432 values were negative, down to -0.01, and are taken as 0",)
+    assert evaluate(loaded.brdf).min() >= 0
 
 
 def changed(name: str, change) -> bytes:

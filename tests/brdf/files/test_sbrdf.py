@@ -26,9 +26,9 @@ def test_what_is_written_comes_back(tmp_path, lobes):
     sizes = (3, 5), (2, 3), (1, 2), (1, 1)
     written = [level(h, w, lobes, seed) for seed, (h, w) in enumerate(sizes)]
     write_sbrdf(tmp_path / "a.exr", written)
-    found = read_sbrdf(tmp_path / "a.exr")
-    assert len(found) == 4
-    for one, other in zip(written, found, strict=True):
+    levels = read_sbrdf(tmp_path / "a.exr")
+    assert len(levels) == 4
+    for one, other in zip(written, levels, strict=True):
         jax.tree.map(np.testing.assert_array_equal, other.lobes, one.lobes)
         np.testing.assert_array_equal(other.normals.astype(np.float32), one.normals)
         np.testing.assert_array_equal(other.flag, one.flag)
@@ -41,12 +41,12 @@ def test_what_is_written_comes_back(tmp_path, lobes):
 def test_compact_storage_comes_back_nearly(tmp_path, storage, lobes):
     written = level(3, 5, lobes)
     write_sbrdf(tmp_path / "a.exr", [written], storage)
-    (found,) = read_sbrdf(tmp_path / "a.exr")
-    np.testing.assert_allclose(found.lobes.exponent, written.lobes.exponent, rtol=0.04)
-    np.testing.assert_allclose(found.lobes.diffuse, written.lobes.diffuse, atol=5e-3)
-    np.testing.assert_allclose(found.normals, written.normals, atol=1e-3)
-    np.testing.assert_array_equal(found.flag, written.flag)
-    np.testing.assert_array_equal(np.isnan(found.residual), np.isnan(written.residual))
+    (restored,) = read_sbrdf(tmp_path / "a.exr")
+    np.testing.assert_allclose(restored.lobes.exponent, written.lobes.exponent, rtol=0.04)
+    np.testing.assert_allclose(restored.lobes.diffuse, written.lobes.diffuse, atol=5e-3)
+    np.testing.assert_allclose(restored.normals, written.normals, atol=1e-3)
+    np.testing.assert_array_equal(restored.flag, written.flag)
+    np.testing.assert_array_equal(np.isnan(restored.residual), np.isnan(written.residual))
     write_sbrdf(tmp_path / "float.exr", [written])
     assert (tmp_path / "a.exr").stat().st_size < (tmp_path / "float.exr").stat().st_size
 

@@ -80,9 +80,9 @@ def counts(of: int) -> np.ndarray:
 
 
 def test_lambert_under_a_constant_sky_is_exact():
-    found = estimate(sampled(lambert(0.6)), sky(True), view().pixels, counts(RUN))
-    np.testing.assert_allclose(np.asarray(found)[view().real], 0.6, rtol=1e-5)
-    assert not np.asarray(found)[~view().real].any()
+    radiance = estimate(sampled(lambert(0.6)), sky(True), view().pixels, counts(RUN))
+    np.testing.assert_allclose(np.asarray(radiance)[view().real], 0.6, rtol=1e-5)
+    assert not np.asarray(radiance)[~view().real].any()
 
 
 LOBES = {
@@ -112,9 +112,9 @@ def albedos(brdf, omega_o):
 def test_under_a_white_sky_they_are_the_albedo(name: str):
     """By another quadrature: nothing is lost of what lies below the surface, of turned lobes or of channels."""
     brdf = LOBES[name] if name == "one" else written_out(LOBES[name])
-    found = np.asarray(estimate(sampled(brdf), sky(True), view().pixels, counts(1024)))[view().real]
+    radiance = np.asarray(estimate(sampled(brdf), sky(True), view().pixels, counts(1024)))[view().real]
     wanted = albedos(brdf, np.asarray(view().pixels.omega_o)[view().real])
-    np.testing.assert_allclose(found, wanted, rtol=0.01)
+    np.testing.assert_allclose(radiance, wanted, rtol=0.01)
 
 
 @pytest.mark.parametrize("brdf", [GLOSSY, pytest.param(ashikhmin_shirley(0.2, 0.4, 30, 30), marks=pytest.mark.slow)])
@@ -135,9 +135,9 @@ def test_seeds_and_counts():
     assert np.abs(np.asarray(estimate(part, sky(), pixels, counts(32), 6)) - one).max() > 0
     # A pixel's estimate is its own, whatever others get.
     mixed = np.where(view().real, np.arange(len(view().real)) % 4 * RUN, 0)
-    found = np.asarray(estimate(part, sky(), pixels, mixed, 5))
-    np.testing.assert_allclose(found[mixed == 2 * RUN], one[mixed == 2 * RUN], rtol=1e-5)
-    assert not found[mixed == 0].any()
+    radiance = np.asarray(estimate(part, sky(), pixels, mixed, 5))
+    np.testing.assert_allclose(radiance[mixed == 2 * RUN], one[mixed == 2 * RUN], rtol=1e-5)
+    assert not radiance[mixed == 0].any()
     # More than there are numbers count as those.
     few = np.where(np.arange(len(view().real)) == np.flatnonzero(view().real)[0], 2 * MAX_POINTS, 0)
     assert np.isfinite(estimate(part, sky(), pixels, few)).all()
@@ -162,9 +162,9 @@ def test_a_sun_of_a_hundred_thousand_is_not_lost():
     irradiance = np.pi * 0.1 + 1e5 * latlong.solid_angles(ROWS, 2 * ROWS)[12] * cosine
     lit = view().real & (cosine > 0.3)
     for filtered, most in ((True, 0.5), (False, np.inf)):
-        found = np.asarray(estimate(part, light, view().pixels, counts(64), filtered=filtered))[lit, 0]
-        assert np.isfinite(found).all()
-        off = np.median(np.abs(found * (np.pi / 0.5) / irradiance[lit] - 1))
+        radiance = np.asarray(estimate(part, light, view().pixels, counts(64), filtered=filtered))[lit, 0]
+        assert np.isfinite(radiance).all()
+        off = np.median(np.abs(radiance * (np.pi / 0.5) / irradiance[lit] - 1))
         assert off < most
         assert filtered or off > 0.9
 
@@ -178,10 +178,10 @@ def test_what_is_blocked_is_dark():
         assert np.allclose(np.linalg.norm(towards, axis=1), 1, atol=1e-5)
         return towards[:, 1] < 0
 
-    found = np.asarray(estimate(part, sky(True), pixels, counts(RUN), blocked=blocked))
+    shadowed = np.asarray(estimate(part, sky(True), pixels, counts(RUN), blocked=blocked))
     free = np.asarray(estimate(part, sky(True), pixels, counts(RUN)))
-    assert (found <= free + 1e-6).all()
-    assert 0 < found.sum() < free.sum()
+    assert (shadowed <= free + 1e-6).all()
+    assert 0 < shadowed.sum() < free.sum()
     assert sum(asked) <= RUN * view().real.sum()
     dark = estimate(part, sky(True), pixels, counts(RUN), blocked=lambda place, _: np.ones(len(place), bool))
     assert not np.asarray(dark).any()
@@ -221,9 +221,9 @@ def test_listed_work_is_linear_in_light_inside_of_jit():
 
     values = sky().radiance.values
     for total in (jax.jit(jax.value_and_grad(listed)), jax.value_and_grad(at_once)):
-        found, gradient = total(values)
+        value, gradient = total(values)
         along = np.sum(np.asarray(gradient) * np.asarray(values))
-        np.testing.assert_allclose([found, along], at_once(values), rtol=1e-4)
+        np.testing.assert_allclose([value, along], at_once(values), rtol=1e-4)
 
 
 @pytest.mark.usefixtures("x64")
@@ -268,7 +268,7 @@ def test_cells_are_as_large_as_what_samples_stand_for(monkeypatch):
         monkeypatch.setattr(estimating, "_COVERED", covered * share)
         if share != 1:
             compiled.clear_cache()
-        found = np.asarray(estimate(part, light, view().pixels, counts(64)))
-        off.append(np.sqrt(np.mean((found - wanted)[view().real] ** 2)))
+        radiance = np.asarray(estimate(part, light, view().pixels, counts(64)))
+        off.append(np.sqrt(np.mean((radiance - wanted)[view().real] ** 2)))
     compiled.clear_cache()
     assert 1.3 * off[0] < min(off[1:])

@@ -39,16 +39,16 @@ def plain() -> Hierarchy:
 
 
 def test_nothing_is_left_without_tolerance_and_little_is_shaded_with_much():
-    found = plain()
-    assert np.asarray(found.shaded).all()
-    least = np.asarray(found.within(1e9).shaded)
+    between = plain()
+    assert np.asarray(between.shaded).all()
+    least = np.asarray(between.within(1e9).shaded)
     assert least[:: 2**LEVELS, :: 2**LEVELS].all()
     # Beyond the last lattice a line through its pixels would make their noise larger.
     assert least[: -(H % 2**LEVELS), : -(W % 2**LEVELS)].sum() == 1
     assert least.mean() < 0.02
-    counts = [np.asarray(found.within(tolerance).shaded).sum() for tolerance in (0.3, 0.1, 0.03, 0.01)]
+    counts = [np.asarray(between.within(tolerance).shaded).sum() for tolerance in (0.3, 0.1, 0.03, 0.01)]
     assert counts == sorted(counts)
-    assert (np.asarray(found.within(0.1).left) <= 0.1).all()
+    assert (np.asarray(between.within(0.1).left) <= 0.1).all()
 
 
 def test_what_is_linear_in_the_mirror_is_reproduced():
@@ -75,15 +75,15 @@ def test_kinds_do_not_mix():
     kind[:, 40:] = -1
     between = hierarchy(features(kind)).within(1e9)
     image = np.where(kind >= 0, kind + 1.0, 99)[..., None].astype(np.float32)
-    found = interpolated(between, image)
+    filled = interpolated(between, image)
     asked = kind >= 0
-    np.testing.assert_allclose(found[asked], image[asked], atol=1e-4)
+    np.testing.assert_allclose(filled[asked], image[asked], atol=1e-4)
     assert not np.asarray(between.shaded)[~asked].any()
     # A wire one pixel wide is shaded or between pixels of its own.
     kind = np.zeros((H, W), np.int32)
     kind[:, 7] = 1
-    found = interpolated(hierarchy(features(kind)).within(1e9), kind[..., None])
-    np.testing.assert_allclose(found[..., 0], kind, atol=1e-4)
+    filled = interpolated(hierarchy(features(kind)).within(1e9), kind[..., None])
+    np.testing.assert_allclose(filled[..., 0], kind, atol=1e-4)
 
 
 @pytest.mark.parametrize("of", ["angular", "spatial", "contrast"])
@@ -117,8 +117,8 @@ def test_propagated_variance_is_near_that_of_what_lies_between(tolerance: float)
     each = np.zeros((H * W, len(shaded)), np.float32)
     each[shaded, np.arange(len(shaded))] = 1
     exact = np.sum(interpolated(between, each.reshape(H, W, -1)) ** 2)
-    found = np.asarray(between.propagate_variance(as_array(np.ones((H, W), np.float32))))
-    assert 0.75 < found.sum() / exact < 1.35
+    variance = np.asarray(between.propagate_variance(as_array(np.ones((H, W), np.float32))))
+    assert 0.75 < variance.sum() / exact < 1.35
 
 
 def test_levels_say_what_lies_between():
@@ -144,35 +144,35 @@ def test_an_edge_is_not_bridged(place: float, way: tuple[float, float]):
 
 def test_errors_of_parents_are_passed_on():
     """To the error of lying between shaded ones comes what others are off themselves; to those of none, nothing."""
-    found = plain().within(0.4)
-    own, left, shaded = (np.asarray(of) for of in (found.error, found.left, found.shaded))
+    between = plain().within(0.4)
+    own, left, shaded = (np.asarray(of) for of in (between.error, between.left, between.shaded))
     assert (left[shaded] == 0).all()
     assert (left[~shaded] >= 0.999 * own[~shaded]).all()
     assert (left[~shaded] > 1.5 * own[~shaded]).mean() > 0.5
 
 
 def test_coarse_pixels_are_shaded_for_smaller_errors():
-    found = plain().within(0.2)
-    level, own = np.asarray(found.levels()), np.asarray(found.error)
+    between = plain().within(0.2)
+    level, own = np.asarray(between.levels()), np.asarray(between.error)
     most = [own[level == of].max(initial=0) for of in range(1, LEVELS + 1)]
     assert all(one <= 0.2 / 2**of + 1e-6 for of, one in enumerate(most, start=1))
 
 
 def test_inside_pixels_the_nearest_parents_alone_count():
     """Of two and four where there are eight and twelve; linear functions are reproduced all the same."""
-    found = hierarchy(features(), inside=2)
+    nearest = hierarchy(features(), inside=2)
     size = -(-H // 2**LEVELS) * -(-W // 2**LEVELS)
     coarse = sum(4**level * size for level in range(LEVELS - 2))
-    for given, start, counts in (plain(), 0, (8, 8, 12)), (found, 0, (8, 8, 12)), (found, coarse, (2, 2, 4)):
+    for given, start, counts in (plain(), 0, (8, 8, 12)), (nearest, 0, (8, 8, 12)), (nearest, coarse, (2, 2, 4)):
         used = np.asarray(given.weights)[..., start : start + coarse].any(axis=2)
         assert used.sum(axis=0).tolist() == list(counts)
-    between = found.within(0.02)
+    between = nearest.within(0.02)
     image = np.asarray(features().mirror) @ np.array([[0.5, 2], [1, -1], [0, 0]], np.float32) + 3
     shaded = np.asarray(between.shaded)
     assert shaded.mean() < 0.7
     np.testing.assert_allclose(interpolated(between, np.where(shaded[..., None], image, 7)), image, atol=0.02)
     # Those of coarser levels are what they are without.
-    these, those = (np.asarray(of.weights)[..., :coarse] for of in (found, plain()))
+    these, those = (np.asarray(of.weights)[..., :coarse] for of in (nearest, plain()))
     np.testing.assert_array_equal(these, those)
 
 

@@ -64,7 +64,7 @@ def test_more_is_never_less():
 def test_finite_where_nothing_varies_and_at_grazing_angles():
     for zero in (Bandwidth(jnp.asarray(0.0), jnp.asarray(0.0)), DISTANT):
         for cosine in (0.0, 1e-6, 1.0):
-            found = _seen(zero, cosine_i=cosine, cosine_o=cosine, curvature=3.0, brdf=0.0)
-            assert np.isfinite(found).all()
+            bandwidth = _seen(zero, cosine_i=cosine, cosine_o=cosine, curvature=3.0, brdf=0.0)
+            assert np.isfinite(bandwidth).all()
     slopes = jax.grad(lambda a: travelled(reflected(Bandwidth(0.0 * a, a), 1.0, 1.0, 1.0, 0.0, 0.0), 1.0).a)(0.0)
     assert np.isfinite(slopes)

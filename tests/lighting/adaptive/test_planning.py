@@ -34,19 +34,19 @@ def plan(samples=None, tolerance=None, deviation=None, factor=1, power=1.0, betw
 
 @pytest.mark.parametrize("samples", [8, 64, 256])
 def test_budgets_are_kept(samples: int):
-    found = plan(samples=samples)
-    assert 0.8 * samples < found.samples / PIXELS < 1.05 * samples
-    counts = np.asarray(found.layers[0].counts)
+    planned = plan(samples=samples)
+    assert 0.8 * samples < planned.samples / PIXELS < 1.05 * samples
+    counts = np.asarray(planned.layers[0].counts)
     assert (counts % RUN == 0).all()
-    assert ((counts > 0) == np.asarray(found.layers[0].hierarchy.shaded)).all()
-    assert found.shaded == (counts > 0).sum()
+    assert ((counts > 0) == np.asarray(planned.layers[0].hierarchy.shaded)).all()
+    assert planned.shaded == (counts > 0).sum()
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 0.03, 0.01])
 def test_tolerances_are_kept_by_both_errors_together(tolerance: float):
-    found = plan(tolerance=tolerance)
-    assert np.hypot(found.interpolation, found.noise) <= 1.01 * tolerance
-    mean = float(np.sqrt(np.mean(found.maps()["error"] ** 2)))
+    planned = plan(tolerance=tolerance)
+    assert np.hypot(planned.interpolation, planned.noise) <= 1.01 * tolerance
+    mean = float(np.sqrt(np.mean(planned.maps()["error"] ** 2)))
     assert mean <= 1.2 * tolerance
 
 
@@ -54,9 +54,9 @@ def test_tolerances_are_kept_by_both_errors_together(tolerance: float):
 def test_samples_go_where_noise_is(power: float):
     """Where every pixel is shaded, n ∝ σ^(2 / (1 + power)) makes Σ σ² / n^power the least that Σ n allows."""
     steps = np.linspace(0, 4, W)
-    found = plan(samples=512, deviation=1e-3 * 2**steps * np.ones((H, 1)), power=power, between=fast())
-    assert found.shaded > 0.9 * PIXELS
-    counts = np.median(found.layers[0].counts, axis=0)
+    planned = plan(samples=512, deviation=1e-3 * 2**steps * np.ones((H, 1)), power=power, between=fast())
+    assert planned.shaded > 0.9 * PIXELS
+    counts = np.median(planned.layers[0].counts, axis=0)
     assert np.polyfit(steps, np.log2(counts), 1)[0] == pytest.approx(2 / (1 + power), rel=0.1)
 
 

@@ -40,8 +40,8 @@ def predicted(columns, exponent: float, spacing: float = 2.0, hidden=None):
     angle = np.sqrt(CAMERA.solid_angles().max())
     bend, far, angle, step = (as_array(of, np.float32) for of in (np.ones(count), np.full(count, 3), angle, spacing))
     drawn = draw(part(exponent), pixels(), 16)
-    found = predict(part(exponent), light, pixels(), bend, far, angle, step, drawn, hidden)
-    return jax.tree.map(np.asarray, found)
+    prediction = predict(part(exponent), light, pixels(), bend, far, angle, step, drawn, hidden)
+    return jax.tree.map(np.asarray, prediction)
 
 
 def seen() -> np.ndarray:
@@ -58,12 +58,12 @@ def off_edge() -> np.ndarray:
 
 @pytest.mark.parametrize("exponent", [0.0, 1e4])
 def test_nothing_varies_under_an_even_sky(exponent: float):
-    found = predicted(np.ones(2 * ROWS), exponent)
-    assert found.angular[seen()].max() < 1e-3
-    assert found.image[seen()].max() < 1e-3
+    prediction = predicted(np.ones(2 * ROWS), exponent)
+    assert prediction.angular[seen()].max() < 1e-3
+    assert prediction.image[seen()].max() < 1e-3
     # Of a wide lobe half is given back; Phong's, in a narrow one, by the cosine.
     expected = 0.5 * np.asarray(pixels().omega_o)[seen(), 2] if exponent else 0.5
-    np.testing.assert_allclose(found.radiance[seen()], expected, atol=0.03)
+    np.testing.assert_allclose(prediction.radiance[seen()], expected, atol=0.03)
 
 
 def test_a_step_is_met_where_it_is_mirrored():
@@ -109,7 +109,7 @@ def test_maps_of_lobes_add_their_own_bandwidth():
     from jaxrelight.brdf.texture import Texture
 
     one = part(0.0)
-    found = []
+    bandwidths = []
     for varied in (0.0, 0.35):
         mapped = eqx.tree_at(
             lambda of: of.map,
@@ -123,7 +123,7 @@ def test_maps_of_lobes_add_their_own_bandwidth():
         drawn = draw(mapped, given, 16)
         bend, far, angle, step = (as_array(of, np.float32) for of in (np.ones(count), np.full(count, 3), 0.017, 2))
         foreseen = predict(mapped, light, given, bend, far, angle, step, drawn)
-        found.append(np.asarray(foreseen.spatial))
-    assert not found[0][seen()].any()
+        bandwidths.append(np.asarray(foreseen.spatial))
+    assert not bandwidths[0][seen()].any()
     across = np.sqrt(1e-3) * 8 * 0.35 * np.sqrt(np.asarray(pixels().omega_o)[:, 2]) / (3 * 0.017)
-    np.testing.assert_allclose(found[1][seen()], 2 * across[seen()], rtol=1e-3)
+    np.testing.assert_allclose(bandwidths[1][seen()], 2 * across[seen()], rtol=1e-3)

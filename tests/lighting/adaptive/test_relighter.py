@@ -179,16 +179,16 @@ def test_a_sun_is_lit_by_a_few_directions_in_every_pixel():
     towards, area = latlong.directions(u, v), latlong.solid_angles(ROWS, 2 * ROWS)[80]
     light, even = lit(light_of(pixels)), lit(light_of(np.full_like(pixels, 0.2)))
     relighter, surfaces = of_scene(tolerance=0.01), view().surfaces
-    found = np.asarray(relighter.shade(light, view()).radiance)
+    radiance = np.asarray(relighter.shade(light, view()).radiance)
     groups = group_lights([directional(-towards, float(1e5 * area))])
     sun = np.asarray(shade_lights(relighter.materials, surfaces, groups, trace_visibility(surfaces.points, groups)))
     wanted = np.asarray(of_scene(seed=7).shade_uniform(even, view(), 512, filtered=True)) + sun
-    assert off(found, wanted, covered()) < 0.02
+    assert off(radiance, wanted, covered()) < 0.02
     # Of the floor, some lies in the shadow, and only the sky is left.
     dark = covered() & (sun.max(axis=2) == 0)
     assert dark.sum() > 50
-    assert found[dark].max() < 0.5
-    assert not found[~covered()].any()
+    assert radiance[dark].max() < 0.5
+    assert not radiance[~covered()].any()
     # The sun is none of what samples find.
     assert off(relighter.shade_uniform(light, view(), 512, filtered=True), wanted - sun, covered()) < 0.02
 
@@ -348,8 +348,8 @@ def test_one_of_both_dials():
 def test_the_slope_is_that_of_what_is_displayed():
     x = np.linspace(0.001, 0.999, 97)
     slope = (srgb_encode(x + 1e-6) - srgb_encode(x - 1e-6)) / 2e-6
-    *found, beyond = np.asarray(jax.jit(display_slope)(np.append(x, 100).astype(np.float32)))
-    np.testing.assert_allclose(found, slope, rtol=1e-3)
+    *slopes, beyond = np.asarray(jax.jit(display_slope)(np.append(x, 100).astype(np.float32)))
+    np.testing.assert_allclose(slopes, slope, rtol=1e-3)
     assert beyond < 1e-3
 
 
