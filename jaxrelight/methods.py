@@ -37,6 +37,8 @@ class Method:
         return ()
 
 
+# How vertices reflect lobes; see `Transport.reflection`.
+REFLECTIONS = ("filtered", "factors", "traced")
 _BETWEEN_SURFACES = "light that surfaces reflect onto each other"
 
 
@@ -53,7 +55,8 @@ class Transport(Method):
 
     is_stored: ClassVar[bool] = True
     advanced: ClassVar[frozenset[str]] = frozenset(
-        {"visibility_samples", "factor_resolution", "split_sun", "gather_resolution", "gather"}
+        {"visibility_samples", "reflection_tolerance", "reflection_rays", "factor_resolution", "split_sun"}
+        | {"gather_resolution", "gather"}
     )
 
     receivers: Literal["pixels", "vertices"] = "pixels"
@@ -64,9 +67,17 @@ class Transport(Method):
     with its square; sharper shadows and highlights need more."""
     visibility_samples: int = 1
     """Rays for each texel of the cube map: 1, 4, 9, 16 or 25. Transport is averaged over them."""
+    reflection: Literal["filtered", "factors", "traced"] = "filtered"
+    """How vertices reflect lobes: 'filtered' multiplies each lobe's light by the share of it that is visible, sharp at
+    any exponent and from any view; 'traced' takes that share from rays of each view's pixels; 'factors' are rows of
+    terms, as other glossy materials and bounces always have them. A scene may give a material its own."""
+    reflection_rays: int = 64
+    """Rays of a pixel where reflection is traced; from 1 to 4,096."""
+    reflection_tolerance: float = 0.01
+    """Largest error of a filtered lobe that its width may cause; wider lobes are shaded as 7 or 19 narrower ones."""
     terms: int = 4
-    """Factors of a glossy material where receivers are vertices. Glossier materials need more; time and bytes grow
-    with them. Diffuse materials always have 1."""
+    """Factors of a glossy material where receivers are vertices and reflection is not filtered. Glossier materials need
+    more; time and bytes grow with them. Diffuse materials always have 1."""
     coefficients: int | Literal["shared", "all"] = "shared"
     """How direct light is kept: 'shared' lets near receivers share as few rows over as few wavelet coefficients as
     compression_tolerance allows; a number keeps that many coefficients in each row; 'all' compresses nothing, which is
@@ -92,9 +103,12 @@ class Transport(Method):
 
     def __post_init__(self) -> None:
         check_choice("receivers", self.receivers, ("pixels", "vertices"))
+        check_choice("reflection", self.reflection, REFLECTIONS)
+        check_number("reflection tolerance", self.reflection_tolerance, lambda x: 0 < x < 1, "above 0, and below 1")
         for name, low, high in (
             ("resolution", 4, 512),
             ("terms", 1, math.inf),
+            ("reflection_rays", 1, 4096),
             ("factor_resolution", 4, 128),
             ("bounces", 0, math.inf),
             ("gather_resolution", 4, 256),

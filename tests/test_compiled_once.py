@@ -42,7 +42,7 @@ from jaxrelight.operators.clustering import cluster
 from jaxrelight.operators.contract import as_lineax
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.transport.bake import directions_for
-from jaxrelight.transport.filtered_visibility import project_visibility
+from jaxrelight.transport.filtered_visibility import visibility_distances
 from tests.compilations import compilations
 
 UP: Any = np.array([0.0, 0.6, 0.8], np.float32)
@@ -170,15 +170,15 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
         lambda seed: HaarFaces(4).decode(values(seed, 3, 96)),
     ],
     "transport/filtered_visibility": [
-        lambda seed: project_visibility(
+        lambda seed: visibility_distances(
             (255 * values(seed, 16, 12)).astype(np.uint8),
             np.tile(np.eye(3, dtype=np.float32), (16, 1, 1)),
             directions_for(4),
-            4,
         )
     ],
 }
 ELSEWHERE = {
+    "lighting/filtered_reflection",
     *("lighting/adaptive/estimate", "lighting/adaptive/hierarchy", "lighting/adaptive/prediction"),
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
 }

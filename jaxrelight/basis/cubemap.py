@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxrelight.operators.contract import Basis
 
 
-def _face_plane(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+def face_plane(s: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Points of the cube [−1, 1]³ at face coordinates s (rightwards) and t (downwards): [6, ..., 3]."""
     ones = np.ones_like(s)
     faces = [(ones, -t, -s), (-ones, -t, s), (s, ones, t), (s, -ones, -t), (s, -t, ones), (-s, -t, -ones)]
@@ -29,7 +29,7 @@ def _corner_area(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def directions(resolution: int) -> Float[np.ndarray, "d 3"]:
     """Unit vectors through the texel centres, d = 6·n² in the order face, row, column; float64, read-only."""
     centre = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
-    points = _face_plane(*np.meshgrid(centre, centre, indexing="xy")).reshape(-1, 3)
+    points = face_plane(*np.meshgrid(centre, centre, indexing="xy")).reshape(-1, 3)
     points /= np.linalg.norm(points, axis=-1, keepdims=True)
     points.flags.writeable = False
     return points
@@ -52,7 +52,7 @@ def texel_of(direction: Float[np.ndarray, "... 3"], resolution: int) -> Any:
     major = np.take_along_axis(direction, axis[..., None], axis=-1)[..., 0]
     x, y, z = np.moveaxis(direction / np.abs(major)[..., None], -1, 0)
     positive = major > 0
-    # s, t per face, read off _face_plane.
+    # s, t per face, read off face_plane.
     s = np.choose(axis, [np.where(positive, -z, z), x, np.where(positive, x, -x)])
     t = np.choose(axis, [-y, np.where(positive, z, -z), -y])
     column, row = (np.clip(((c + 1) * (resolution / 2)).astype(np.int64), 0, resolution - 1) for c in (s, t))

@@ -5,6 +5,7 @@ with the same integral, mean direction and mean length is one, and is exact wher
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import jax
@@ -53,6 +54,16 @@ def clip_lobe(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> Cli
     entries = (1 - down) * upper + down * lower
     moved = entries[..., 1:2] * peak + entries[..., 2:3] * _upwards(peak)
     return ClippedLobe(jnp.exp(entries[..., 0]), safe.normalize(moved), 2 ** (entries[..., 3] / _PER_DOUBLING) - 1)
+
+
+def clipped_exponents(lowest: float, highest: float) -> tuple[float, float]:
+    """The range of exponents that lobes have after clipping, of those that reflect a thousandth of what they might."""
+    table = _table()
+    rows = [np.clip(math.log2(max(n, 0) + 1) * _PER_DOUBLING, 0, _PER_DOUBLING * _DOUBLINGS) for n in (lowest, highest)]
+    within = table[math.floor(rows[0]) : math.ceil(rows[1]) + 1]
+    reflects = within[..., 0] > within[..., 0].max() - math.log(1000)
+    sharpness = 2 ** (within[..., 3][reflects] / _PER_DOUBLING) - 1
+    return float(sharpness.min()), float(sharpness.max())
 
 
 def _upwards(peak: Float[Array, "... 3"]) -> Float[Array, "... 3"]:

@@ -59,9 +59,14 @@ class LobeSum(Brdf):
 
         The direction may lie below the surface; where C is nothing it is the zero vector.
         """
-        along = self.C * self._in_axes(omega_o)[None, None]
+        omega = self._in_axes(omega_o)[None, None]
+        along = self.C * omega
         peak = safe.normalize(along)
-        return peak if self.turn is None else turned(peak, self.turn), safe.norm(along)
+        # Of unit directions |Cᵀω|² is 1 − Σ (1 − C²) ω²: 1 to the last digit where |C| is 1, as large powers need it.
+        missing = jnp.sum((1 - self.C**2) * omega**2, axis=-1)
+        near = missing < 0.5
+        length = jnp.where(near, jnp.sqrt(jnp.where(near, 1 - missing, 1)), safe.norm(along))
+        return peak if self.turn is None else turned(peak, self.turn), length
 
     def _in_axes(self, omega: Float[Array, "3"]) -> Float[Array, "3"]:
         return omega if self.turn is None else turned(omega, -self.turn)

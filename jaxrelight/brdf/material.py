@@ -1,8 +1,10 @@
 """Materials: linear combinations of BRDFs whose weights vary over the surface (Wang 2006 §3.1)."""
 
 import dataclasses
+from typing import TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
@@ -75,6 +77,46 @@ def white_phong(exponent: Numbers, dtype: DTypeLike | None = None) -> LobeSum:
     n = module_of(n).atleast_1d(n)
     arrays = np.zeros(len(n)), np.tile([-1.0, -1.0, 1.0], (1, len(n), 1)), n[None], ((n + 2) / (2 * np.pi))[None]
     return LobeSum(*(as_array(x, dtype) for x in arrays))
+
+
+def split_diffuse(material: Material, lobe_sums: bool = False) -> Material:
+    """The same material with diffuse parts of spatial BRDFs as components of their own: white, times the map.
+
+    Args:
+        material: any.
+        lobe_sums: do so with sums of lobes, too.
+    """
+    parts = []
+    for component in material.components:
+        brdf, weight = component.brdf, component.weight
+        if isinstance(brdf, SpatialLobes):
+            white = white_lambert(float_dtype(brdf))
+            parts.append(Component(white, (Texture(brdf.diffuse).minified(), *weight)))
+            if not (brdf.lobes and np.any(np.asarray(brdf.scale) > 0)):
+                continue
+            brdf = without_diffuse(brdf)
+        elif lobe_sums and isinstance(brdf, LobeSum) and not brdf.is_constant:
+            if np.any(np.asarray(brdf.diffuse)):
+                parts.append(_white_times(brdf.diffuse, weight))
+            brdf = without_diffuse(brdf)
+        parts.append(Component(brdf, weight))
+    return dataclasses.replace(material, components=tuple(parts))
+
+
+LobesT = TypeVar("LobesT", LobeSum, SpatialLobes)
+
+
+def without_diffuse(lobes: LobesT) -> LobesT:
+    """The lobes alone, on all levels of detail."""
+    black = dataclasses.replace(lobes, diffuse=jnp.zeros_like(lobes.diffuse))
+    if isinstance(black, SpatialLobes):
+        return dataclasses.replace(black, coarser=tuple(map(without_diffuse, black.coarser)))
+    return black
+
+
+def has_lobes(brdf: Brdf | SpatialLobes) -> bool:
+    """Whether a BRDF is a sum of lobes, in all texels or in each, and has any."""
+    return isinstance(brdf, SpatialLobes) or (isinstance(brdf, LobeSum) and not brdf.is_constant)
 
 
 def split_tint(material: Material, diffuse: bool = False) -> Material:

@@ -131,6 +131,12 @@ class PackedLobes(eqx.Module):
         texels, weights = zip(*self.texture.around(uv, footprint), strict=True)
         return self._lobes(jnp.stack(texels)), jnp.stack(weights)
 
+    @property
+    @jax.jit
+    def texels(self) -> LobeSum:
+        """The BRDFs of all texels of the finest level."""
+        return self._lobes(self.texture.pixels)
+
     def _lobes(self, flat: Float[Array, "*p t"]) -> LobeSum:
         """The BRDFs of packed parameters."""
         c, lobes = self.channels, self.lobes

@@ -16,7 +16,6 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from jaxrelight.brdf.factors import COSINE, Samples
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.material import Component, Material, white_lambert
 from jaxrelight.brdf.pairs import spread_pairs
 from jaxrelight.brdf.parametrisation import DISC, look_up
 from jaxrelight.brdf.reflection import Reflection
@@ -87,21 +86,6 @@ class FactorResidual:
 
     shapes: float
     terms: float
-
-
-def without_diffuse(material: Material) -> Material:
-    """The same material with diffuse parts of spatial BRDFs as components of their own: white, times the map."""
-    parts = []
-    for component in material.components:
-        brdf = component.brdf
-        if isinstance(brdf, SpatialLobes):
-            white = white_lambert(float_dtype(brdf))
-            parts.append(Component(white, (Texture(brdf.diffuse).minified(), *component.weight)))
-            if not (brdf.lobes and np.any(np.asarray(brdf.scale) > 0)):
-                continue
-            brdf = dataclasses.replace(brdf, diffuse=jnp.zeros_like(brdf.diffuse), coarser=())
-        parts.append(Component(brdf, component.weight))
-    return dataclasses.replace(material, components=tuple(parts))
 
 
 def factor_spatial(

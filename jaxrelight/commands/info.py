@@ -61,6 +61,7 @@ def _store(path: pathlib.Path) -> dict:
         "receivers": transport.receivers.count,
         "rows": transport.operator.shape[0],
         "materials": dict(terms),
+        "filtered_lobes": {lobes.material: lobes.narrower for lobes in transport.lobes},
         "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},
         "unused_layers": [folder.name for folder in layers if folder.name not in used],
         "lights": len(local),

@@ -263,7 +263,7 @@ def layers_of(header: Mapping) -> list[str]:
     Raises:
         ValueError: if one is no name of a layer of its kind.
     """
-    named = [(kind, header.get(kind)) for kind in ("geometry", "visibility", "cloud", "albedo", "between")]
+    named = [(kind, header.get(kind)) for kind in ("geometry", "visibility", "filtered", "cloud", "albedo", "between")]
     named.append(("environment", (header["environment"] or {}).get("pixels")))
     named.append(("lights", (header.get("lights") or {}).get("layer")))
     for material in header["materials"]:

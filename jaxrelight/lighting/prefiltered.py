@@ -5,15 +5,13 @@ no shadows, and surfaces do not light each other.
 """
 
 import functools
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.brdf.horizon import clip_lobe
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.texture import look_up
@@ -21,6 +19,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
+from jaxrelight.lighting.filtered_lobes import Horizon, lobe_radiance
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces, trace_view
@@ -28,12 +27,9 @@ from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.prefiltered import PrefilteredMaps, prefilter
 from jaxrelight.methods import Prefiltered
-from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import on_host
+from jaxrelight.numerics.numbers import Number
 from jaxrelight.transport.model import SceneGeometry
-
-# How the cosine and the horizon come in: by a lobe that stands for the product, or outside the integral (eq. 11).
-Horizon = Literal["cut", "outside"]
 
 
 class PrefilteredLight(NamedTuple):
@@ -123,7 +119,7 @@ def shade_environment(
     materials: tuple[SurfaceMaterial, ...],
     surfaces: VisibleSurfaces,
     maps: PrefilteredMaps,
-    rotate_y: float | Float[Array, ""] = 0.0,
+    rotate_y: Number = 0.0,
     scale: float | Float[Array, ""] = 1.0,
     horizon: Horizon = "cut",
     texels: Texels = "parameters",
@@ -148,16 +144,9 @@ def shade_environment(
 
 @functools.partial(jax.jit, static_argnames=("horizon", "texels"))
 def _under(components, pixels: SurfacePixels, maps: PrefilteredMaps, rotate_y, scale, horizon: Horizon, texels: Texels):
-    # The environment turned one way is the scene turned the other.
-    turn = jnp.radians(jnp.asarray(rotate_y, pixels.omega_o.dtype))
-    cosine, sine = jnp.cos(turn), jnp.sin(turn)
-    rotation = jnp.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
-
     def shade(frame, omega_o, uv, footprint):
-        turned = frame @ rotation.T
-
         def reflected(lobes):
-            return prefiltered_radiance(lobes, omega_o, turned, maps, horizon)
+            return prefiltered_radiance(lobes, omega_o, frame, maps, horizon, rotate_y)
 
         radiance = sum(
             at_texel(one.brdf, uv, footprint, texels, reflected) * look_up(one.weight, uv, footprint)
@@ -175,21 +164,15 @@ def prefiltered_radiance(
     frame: Float[Array, "3 3"],
     maps: PrefilteredMaps,
     horizon: Horizon = "cut",
+    rotate_y: Number = 0.0,
 ) -> Float[Array, " c"]:
-    """Radiance towards ω_o of one point under a prefiltered environment (eq. 11, or better; see `Prefiltered.horizon`).
+    """Radiance towards ω_o of one point under a prefiltered environment, without shadows (eq. 11, or better).
 
-    ρ_d D(N) + Σ_l scale_l |p_l|ⁿ ∫ max(0, p̂_l·ω)ⁿ max(0, N·ω) L(ω) dω with p_l = C_l ω_o.
+    ρ_d D(N) and what `lobe_radiance` adds.
     """
-    radiance = lobes.diffuse * maps.look_up(frame[2], jnp.asarray(1.0, frame.dtype))
-    if lobes.is_constant:
-        return radiance
-    peak, length = lobes.peak(omega_o)
-    exponent = lobes.exponent
-    if horizon == "cut":
-        share, peak, sharpness = clip_lobe(peak, exponent)
-    else:
-        share, sharpness = jnp.maximum(peak[..., 2], 0), exponent
-    mean = jax.vmap(jax.vmap(maps.look_up))(peak @ frame, sharpness)  # [l, c1, channels]
-    mean = mean[:, 0] if mean.shape[1] == 1 else jnp.diagonal(mean, axis1=1, axis2=2)
-    strength = safe.power(length, exponent) * share * (2 * np.pi / (exponent + 1))
-    return radiance + jnp.sum(lobes.scale * strength * mean, axis=0)
+
+    def light(direction, exponent):
+        return maps.look_up(direction, exponent, rotate_y)
+
+    diffuse = lobes.diffuse * light(frame[2], jnp.asarray(1.0, frame.dtype))
+    return diffuse + lobe_radiance(lobes, omega_o, frame, light, horizon=horizon)

@@ -239,7 +239,7 @@ def _traced_directions(tracer, origins, normals, group: LightGroup) -> UInt8[np.
     return visible
 
 
-class _Remembered:
+class Remembered:
     """Bits of rays that were cast before, the latest last."""
 
     def __init__(self):
@@ -260,7 +260,12 @@ class _Remembered:
             self.held -= len(self.bits.popitem(last=False)[1]) + _ENTRY_BYTES
 
 
-_REMEMBERED: "weakref.WeakKeyDictionary[object, _Remembered]" = weakref.WeakKeyDictionary()
+_REMEMBERED: "weakref.WeakKeyDictionary[object, Remembered]" = weakref.WeakKeyDictionary()
+
+
+def remembered_by(tracer: Tracer) -> Remembered:
+    """What is remembered of a tracer's rays, as long as it lives."""
+    return _REMEMBERED.setdefault(tracer, Remembered())
 
 
 def _cast(tracer, origins, in_front, towards, distance) -> UInt8[np.ndarray, " b"]:
@@ -281,7 +286,7 @@ def _cast(tracer, origins, in_front, towards, distance) -> UInt8[np.ndarray, " b
     key = hashlib.blake2b(origins.data, digest_size=16)
     for array in (np.packbits(in_front), np.ascontiguousarray(towards), *([] if near is None else [near])):
         key.update(array.data)
-    remembered = _REMEMBERED.setdefault(tracer, _Remembered())
+    remembered = remembered_by(tracer)
     bits = remembered.get(key.digest())
     if bits is None:
         rays = np.broadcast_to(towards, (len(asked), 3))

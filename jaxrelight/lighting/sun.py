@@ -14,6 +14,7 @@ from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.geometry.tracer import OFFSET
+from jaxrelight.lighting.shadows import remembered_by
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.transport.compression import padded_receivers
@@ -48,6 +49,10 @@ def sun_terms(
     known = jax.lax.stop_gradient((vectors, shares))
     terms, visible, first = [], None, -1
     for block in transport.blocks:
+        if not block.has_direct:
+            shape = padded_receivers(block.group_count * GROUP), block.reflection.terms, radiance.shape[-1]
+            terms.append(jnp.zeros(shape, radiance.dtype))
+            continue
         if block.first_group != first:
             # Blocks of one material share its receivers.
             visible, first = _visibility(transport, block, *known), block.first_group
@@ -77,21 +82,31 @@ def _visibility(transport: PrecomputedTransport, block: Block, vectors, lit) -> 
 
 
 def _visible(transport: PrecomputedTransport, block: Block, directions: Float[np.ndarray, "f 3"]):
-    """What is above a receiver's shading normal, and not occluded."""
-    receivers, groups = transport.receivers, block.groups
-    arrays = receivers.positions[groups], receivers.face_normals[groups], receivers.normals[groups]
-    positions, face_normals, normals = (array.reshape(-1, 3) for array in arrays)
-    origins = np.asarray(positions + OFFSET * face_normals, np.float32)
+    """What is above a receiver's shading normal, and not occluded; directions that come again cost no rays."""
+    receivers, groups, remembered = transport.receivers, block.groups, remembered_by(transport.tracer)
+    count = block.group_count * GROUP
+    own = f"{transport.stored.key} {block.first_group} ".encode()
+    directions = np.ascontiguousarray(directions, np.float32)
+    keys = [own + direction.tobytes() for direction in directions]
+    columns = {key: bits for key in keys if (bits := remembered.get(key)) is not None}
+    missing = [number for number, key in enumerate(keys) if key not in columns]
+    if missing:
+        arrays = receivers.positions[groups], receivers.face_normals[groups], receivers.normals[groups]
+        positions, face_normals, normals = (array.reshape(-1, 3) for array in arrays)
+        origins = np.asarray(positions + OFFSET * face_normals, np.float32)
 
-    def towards(direction):
-        visible = normals @ direction > 0
-        rays = np.broadcast_to(direction.astype(np.float32), (int(visible.sum()), 3))
-        visible[visible] = ~transport.tracer.occluded(origins[visible], rays)
-        return visible
+        def towards(number):
+            visible = normals @ directions[number] > 0
+            rays = np.broadcast_to(directions[number], (int(visible.sum()), 3))
+            visible[visible] = ~transport.tracer.occluded(origins[visible], rays)
+            return np.packbits(visible)
 
-    with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
-        columns = list(pool.map(towards, directions))
-    return np.stack(columns, axis=1) if columns else np.zeros((len(origins), 0), bool)
+        with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
+            for number, bits in zip(missing, pool.map(towards, missing), strict=True):
+                columns[keys[number]] = bits
+                remembered.put(keys[number], bits)
+    packed = np.stack([columns[key] for key in keys]) if keys else np.zeros((0, count // 8), np.uint8)
+    return np.unpackbits(packed, axis=1, count=count).astype(bool).T
 
 
 def _of_block(transport: PrecomputedTransport, block: Block, visible, vectors, energy) -> Float[Array, "v k c"]:

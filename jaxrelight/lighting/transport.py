@@ -1,5 +1,6 @@
 """Lighting by precomputed transport (Wang 2006 §4.3): light → light terms, and light terms → image."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,36 +13,41 @@ from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.cubemap import Texels
-from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
+from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
+from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.pixels import SurfacePixels, padded
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.visible_surfaces import (
     SurfaceMaterial,
+    SurfacePart,
     VisibleSurfaces,
     emitted,
-    surface_material,
+    surface_component,
     trace_view,
 )
 from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
+from jaxrelight.lights.prefiltered import PrefilteredMaps, prefilter
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
-from jaxrelight.numerics.arrays import as_array, is_traced
+from jaxrelight.numerics.arrays import as_array, is_traced, on_host
 from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import Operator, Summed, parts_of
+from jaxrelight.operators.contract import Operator, Summed
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Block, PrecomputedTransport
+from jaxrelight.transport.model import Block, FilteredLobes, PrecomputedTransport
 
 # Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
 LightTerms = tuple[Float[Array, "*n _ _ _"], ...]
@@ -65,10 +71,12 @@ class TransportView(eqx.Module):
     Attributes:
         surfaces: what it sees.
         corners: the receivers of each part's pixels.
+        shares: the visible shares of lobes that were traced, by part and the transport's lobes; None for others.
     """
 
     surfaces: VisibleSurfaces
     corners: tuple[Corners, ...]
+    shares: tuple[tuple[Float[Array, "p l c1 j"] | None, ...], ...]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -83,11 +91,13 @@ class TransportLight(NamedTuple):
         environment: None for none.
         terms: light terms of every block, under the environment and what surfaces emit.
         groups: the local lights.
+        maps: of the environment, for filtered lobes; None without either.
     """
 
     environment: Environment | None
     terms: LightTerms
     groups: tuple[LightGroup, ...]
+    maps: PrefilteredMaps | None = None
 
 
 class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
@@ -98,11 +108,15 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
 
     transport: PrecomputedTransport
     materials: tuple[SurfaceMaterial, ...]
+    # Exponents of the maps that filtered lobes read; None for maps of all.
+    exponents: tuple[float, float] | None = eqx.field(static=True)
 
     def __init__(self, transport: PrecomputedTransport):
         self.transport = transport
-        names = list(dict.fromkeys(block.material for block in transport.blocks))
-        self.materials = tuple(_material(name, transport.blocks) for name in names)
+        self.exponents = exponents_of(transport.lobes)
+        parts = (*transport.blocks, *transport.lobes)
+        names = list(dict.fromkeys(part.material for part in parts))
+        self.materials = tuple(_material(name, transport) for name in names)
 
     @property
     def method(self) -> Transport:
@@ -144,6 +158,23 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         """
         return TransportRelighter(baking.rebake(self.transport, list(reflections)))
 
+    def replace_lobes(self, lobes: Sequence[LobeSum | SpatialLobes]) -> "TransportRelighter":
+        """The same with other lobes in place of each of the transport's filtered ones; differentiable in them.
+
+        Nothing is baked or traced: filtered visibility is of geometry alone. What such lobes bounce stays what it was.
+
+        Raises:
+            InputError: for another number of them.
+        """
+        old = self.transport.lobes
+        if len(lobes) != len(old):
+            raise InputError(f"{len(lobes)} BRDFs of lobes were given, but {len(old)} are filtered; give one for each")
+        replaced = tuple(
+            dataclasses.replace(part, brdf=brdf.packed() if isinstance(brdf, SpatialLobes) else brdf)
+            for part, brdf in zip(old, lobes, strict=True)
+        )
+        return TransportRelighter(dataclasses.replace(self.transport, lobes=replaced))
+
     def view(self, camera: Camera | None = None) -> TransportView:
         """What a camera sees; by default the scene's.
 
@@ -157,7 +188,26 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
                 "this scene was precomputed for the pixels of one camera; "
                 "for other views precompute with receivers 'vertices' (--receivers vertices)"
             )
-        return _traced_view(self.transport, self.materials, camera)
+        surfaces, corners = _traced_view(self.transport, self.materials, camera)
+        shares = tuple(self._traced_shares(part, surfaces) for part in surfaces.parts)
+        return TransportView(surfaces, corners, shares)
+
+    def _traced_shares(self, part: SurfacePart, surfaces: VisibleSurfaces) -> tuple[Array | None, ...]:
+        """What is visible of the lobes of one part's pixels, of those that views trace."""
+        name = self.materials[part.material].name
+        return tuple(
+            traced_shares(
+                lobes.brdf,
+                part.pixels,
+                surfaces.points,
+                int(part.start),
+                self.method.reflection_rays,
+                lobes.narrower,
+            )
+            if lobes.material == name and lobes.visibility is None
+            else None
+            for lobes in self.transport.lobes
+        )
 
     def light_vector(
         self,
@@ -180,7 +230,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         Raises:
             InputError: for a light of another number of coefficients.
         """
-        d = self.transport.operator.shape[1]
+        d = self.transport.basis.size
         if light.ndim not in (2, 3) or light.shape[-2] != d:
             raise InputError(f"light has shape {tuple(light.shape)}; it must be [{d:,}, c], or [n, {d:,}, c]")
         light = as_array(light)
@@ -203,7 +253,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             terms = self.terms(self._light_vector_of(environment))
         else:
             terms = self._terms_with_sun(environment)
-        return TransportLight(environment, terms, group_lights(lights.local))
+        return TransportLight(environment, terms, group_lights(lights.local), self._maps(environment))
 
     def _terms_with_sun(self, environment: Environment) -> LightTerms:
         pixels = coarsened(environment.pixels, self.method.resolution)
@@ -216,16 +266,23 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             return terms
         with_sun = list(sun_terms(self.transport, texels, radiance))
         for number, block in enumerate(self.transport.blocks):
-            for bounced in parts_of(block.operator)[1:]:
+            for bounced in block.bounced:
                 with_sun[number] += _terms(bounced, sun, block)
         return tuple(part + more for part, more in zip(terms, with_sun, strict=True))
 
-    def light_many(self, environments: Sequence[Environment]) -> LightTerms:
-        """Light terms [n, v, k, c] under each of n environments, all at once; no sun is split off.
+    def light_many(self, environments: Sequence[Environment]) -> tuple[TransportLight, ...]:
+        """What `light` gives for each of several environments: by one product for all; no sun is split off."""
+        terms = self.terms(jnp.stack([self._light_vector_of(one) for one in environments]))
+        return tuple(
+            TransportLight(one, tuple(part[number] for part in terms), (), self._maps(one))
+            for number, one in enumerate(environments)
+        )
 
-        Those of the i-th, to be shaded, are `tuple(part[i] for part in terms)`.
-        """
-        return self.terms(jnp.stack([self._light_vector_of(one) for one in environments]))
+    def _maps(self, environment: Environment | None) -> PrefilteredMaps | None:
+        """What filtered lobes read of an environment; None where there are none."""
+        if environment is None or not self.transport.lobes:
+            return None
+        return prefilter(on_host(environment.pixels), between=self.exponents)
 
     def _light_vector_of(self, environment: Environment) -> Float[Array, "d c"]:
         pixels = coarsened(environment.pixels, self.method.resolution)
@@ -243,15 +300,36 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         *,
         report: Report | None = None,
     ) -> Image:
-        """Radiance of every pixel: light terms closed by the view, direct light of local lights, and emission."""
+        """Radiance of every pixel: light terms closed by the view, filtered lobes, local lights, and emission."""
         traced = self.trace(lit, view) if traced is None else traced
         direct = shade_lights(self.materials, view.surfaces, lit.groups, traced)
-        return image_of((self.shade_terms(lit.terms, view), direct), view.surfaces.covered)
+        parts = self.shade_terms(lit.terms, view), self.shade_lobes(lit, view), direct
+        return image_of(parts, view.surfaces.covered)
+
+    def shade_lobes(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"] | None:
+        """Direct light of an environment that filtered lobes reflect: filtered light times filtered visibility.
+
+        Differentiable in the environment's maps, turn and scale, and in the lobes; None where there are none.
+        """
+        environment, maps = lit.environment, lit.maps
+        if maps is None or environment is None:
+            return None
+        rows = []
+        turn, scale = environment.rotate_y, environment.scale
+        for part, corners, of_part in zip(view.surfaces.parts, view.corners, view.shares, strict=True):
+            radiance = jnp.zeros((len(part.pixels.pixel), 3), part.pixels.omega_o.dtype)
+            for lobes, shares in zip(self.transport.lobes, of_part, strict=True):
+                if lobes.material == self.materials[part.material].name:
+                    radiance = filtered_radiance(
+                        lobes, part.pixels, corners.receivers, corners.weights, shares, maps, turn, scale, radiance
+                    )
+            rows.append(radiance)
+        return view.surfaces.image(rows)
 
     def shade_terms(
         self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...] | None = None
     ) -> Float[Array, "h w c"]:
-        """Radiance of every pixel by light terms, 0 where no surface is seen: what a change of view costs.
+        """Radiance of every pixel by light terms, 0 where no surface is seen, without filtered lobes.
 
         Terms are interpolated to the pixel, then closed by the view side of its own direction to the eye and by the
         weights at its texture coordinates: Σ_b w_b Σ_k view_side_bk · (T_b x)_k. Emission is added. Differentiable in
@@ -285,16 +363,19 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return behind(surfaces.background(lit.environment), surfaces.covered)
 
 
-def _material(name: str, blocks: Sequence[Block]) -> SurfaceMaterial:
-    """Puts a material together from its blocks."""
-    own_blocks = [block for block in blocks if block.material == name]
-    emission = next((block.emission for block in own_blocks if block.emission is not None), None)
-    return surface_material(name, Material(tuple(Component(b.brdf, b.weight) for b in own_blocks), None, emission))
+def _material(name: str, transport: PrecomputedTransport) -> SurfaceMaterial:
+    """Puts a material together from its blocks and lobes."""
+    parts = [part for part in (*transport.blocks, *transport.lobes) if part.material == name]
+    emission = next((part.emission for part in parts if part.emission is not None), None)
+    # Filtered lobes whose bounces are a block are the same BRDF.
+    own = [part for part in parts if isinstance(part, FilteredLobes) or part.has_direct]
+    components = tuple(surface_component(part.brdf, part.weight) for part in own)
+    return SurfaceMaterial(name, components, emission)
 
 
 def _traced_view(
     transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera
-) -> TransportView:
+) -> tuple[VisibleSurfaces, tuple[Corners, ...]]:
     """Traces a camera's rays and finds each pixel's receivers; what the camera of pixel receivers sees is known."""
     geometry, receivers = transport.geometry, transport.receivers
     surfaces, gbuffer = trace_view(geometry, camera, materials, geometry.visible)
@@ -302,7 +383,7 @@ def _traced_view(
     corners = np.where(gbuffer.back[:, None], geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
     slots = receivers.slot_of[corners] if vertices else receivers.slot_of[:, None]
     weights = gbuffer.barycentric if vertices else np.ones((len(slots), 1))
-    first = {block.material: block.first_group * GROUP for block in transport.blocks}
+    first = {part.material: part.first_group * GROUP for part in (*transport.blocks, *transport.lobes)}
     number_of_pixel = np.cumsum(gbuffer.covered.ravel()) - 1
     part_corners = []
     for part in surfaces.parts:
@@ -313,7 +394,7 @@ def _traced_view(
         part_corners.append(
             Corners(jax.device_put(padded(own, every)), jax.device_put(padded(weights[pixel_numbers], every)))
         )
-    return TransportView(surfaces, tuple(part_corners))
+    return surfaces, tuple(part_corners)
 
 
 @jax.jit

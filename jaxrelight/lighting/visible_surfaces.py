@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.normal_maps import see
 from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import Weight
@@ -61,14 +61,16 @@ def surface_material(name: str, material: Material, minification: Minification =
         minification: of SBRDFs whose texels are smaller than pixels: the coarser "levels" that were fitted, as far as
             maps have any; "averaged" parameters; or "none".
     """
-    components = tuple(_surface_component(component, minification) for component in material.components)
+    components = tuple(surface_component(one.brdf, one.weight, minification) for one in material.components)
     emission = None if material.emission is None else as_array(material.emission, np.float32)
     return SurfaceMaterial(name, components, emission)
 
 
-def _surface_component(component: Component, minification: Minification) -> SurfaceComponent:
-    brdf = component.brdf
-    return SurfaceComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, component.weight)
+def surface_component(
+    brdf: Brdf | SpatialLobes | PackedLobes, weight: Weight, minification: Minification = "levels"
+) -> SurfaceComponent:
+    """One BRDF of a material as pixels ask for it; see `surface_material`."""
+    return SurfaceComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, weight)
 
 
 class SurfacePart(eqx.Module):

@@ -3,17 +3,21 @@
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
-from jaxrelight.basis.zonal import zonal_means
+from jaxrelight.basis.zonal import filtered_maps
+from jaxrelight.numerics.numbers import Number
 
 # n + 1 of neighbouring maps differs by the factor √2: a lobe between them is their mixture within 1 % of its norm.
 _PER_DOUBLING = 2
 # The largest n + 1; a sharper lobe counts as one of the last map, under a degree wide.
 _SHARPEST = 2**14
+# Rows of maps are multiples of so many.
+_ROWS = 16
 
 
 class PrefilteredMaps(eqx.Module):
@@ -24,31 +28,41 @@ class PrefilteredMaps(eqx.Module):
     Attributes:
         texels: of all maps, one after the other; each is a lat-long map of `heights` rows and twice as many columns.
         heights: of the maps, by ascending exponent.
+        first: the place in `exponents()` of the first map's exponent.
     """
 
     texels: Float[Array, "t c"]
     heights: tuple[int, ...] = eqx.field(static=True)
+    first: int = eqx.field(static=True, default=0)
 
-    def look_up(self, direction: Float[Array, "3"], exponent: Float[Array, ""]) -> Float[Array, " c"]:
+    def look_up(
+        self, direction: Float[Array, "3"], exponent: Float[Array, ""], rotate_y: Number = 0.0
+    ) -> Float[Array, " c"]:
         """The mean around a unit direction; between texels and maps, linearly. Differentiable in everything.
 
-        Exponents run from 0 to `most`, and are held there beyond; the maps between which one lies go with log(n + 1).
+        Args:
+            direction: in the world.
+            exponent: held within those of the maps; the maps between which one lies go with log(n + 1).
+            rotate_y: degrees that the environment is turned about +y, as `Environment`.
         """
-        level = jnp.log2(jnp.maximum(exponent, 0) + 1) * _PER_DOUBLING
+        level = jnp.log2(jnp.maximum(exponent, 0) + 1) * _PER_DOUBLING - self.first
         level = jnp.clip(level, 0, len(self.heights) - 1)
-        lower = jnp.minimum(jnp.floor(level), len(self.heights) - 2)
+        lower = jnp.clip(jnp.floor(level), 0, max(len(self.heights) - 2, 0))
         part = level - lower
         lower = lower.astype(jnp.int32)
         u, v = latlong.finite_coordinates(direction)
+        u = u + jnp.asarray(rotate_y, u.dtype) / 360
+        if len(self.heights) == 1:
+            return self.at_level(lower, u, v)
         return (1 - part) * self.at_level(lower, u, v) + part * self.at_level(lower + 1, u, v)
 
     @property
-    def most(self) -> float:
-        """The largest exponent."""
-        return exponents()[-1]
+    def exponents(self) -> list[float]:
+        """The exponents of the maps."""
+        return exponents()[self.first : self.first + len(self.heights)]
 
     def map(self, level: int) -> Float[Array, "h w c"]:
-        """One map, for the exponent of that place in `exponents()`."""
+        """One map, for the exponent of that place in `exponents`."""
         start, height = self._starts[level], self.heights[level]
         return self.texels[start : start + 2 * height**2].reshape(height, 2 * height, -1)
 
@@ -82,21 +96,36 @@ def exponents() -> list[float]:
     return [2 ** (level / _PER_DOUBLING) - 1 for level in range(count)]
 
 
-def prefilter(pixels: Float[Array | np.ndarray, "h w c"], finest: int = 512, equal: bool = False) -> PrefilteredMaps:
-    """All maps of an environment's radiance; linear and differentiable in it.
+def prefilter(
+    pixels: Float[Array | np.ndarray, "h w c"],
+    finest: int = 512,
+    equal: bool = False,
+    between: tuple[float, float] | None = None,
+) -> PrefilteredMaps:
+    """Maps of an environment's radiance; linear and differentiable in it.
 
     Args:
         pixels: a lat-long map of any size.
-        finest: rows of the finest map, a power of two of at least 32. A map has the next power of two from 4π√(n + 1).
+        finest: rows of the finest map, a power of two of at least 32. A map has 8π√(n + 1) rows.
         equal: give all maps the finest's rows instead: larger, and nearer between texels.
+        between: the least and the largest exponent that will be asked for; by default there are maps for all.
 
     Raises:
         ValueError: for another number of rows.
     """
     if finest < 32 or finest & (finest - 1):
         raise ValueError(f"the finest map has {finest} rows; they must be a power of two from 32")
-    fitting = [2 ** math.ceil(math.log2(4 * math.pi * math.sqrt(n + 1))) for n in exponents()]
-    heights = [finest if equal else min(max(height, 32), finest) for height in fitting]
-    resized = {height: jnp.asarray(latlong.resized(pixels, height, 2 * height)) for height in sorted({*heights})}
-    maps = [zonal_means(resized[height], n) for height, n in zip(heights, exponents(), strict=True)]
-    return PrefilteredMaps(jnp.concatenate([one.reshape(-1, one.shape[-1]) for one in maps]), tuple(heights))
+    every, first = exponents(), 0
+    if between is not None:
+        first = int(np.clip(np.searchsorted(every, between[0], side="right") - 1, 0, len(every) - 1))
+        end = int(np.searchsorted(every, between[1], side="left")) + 1
+        every = every[first : max(end, first + 1)]
+    rows = [finest if equal else _ROWS * math.ceil(8 * math.pi * math.sqrt(n + 1) / _ROWS) for n in every]
+    heights = [min(max(height, 32), finest) for height in rows]
+    maps = filtered_maps(pixels, every, heights)
+    return PrefilteredMaps(_joined(maps), tuple(heights), first)
+
+
+@jax.jit
+def _joined(maps: list[Float[Array, "_ _ c"]]) -> Float[Array, "t c"]:
+    return jnp.concatenate([one.reshape(-1, one.shape[-1]) for one in maps])

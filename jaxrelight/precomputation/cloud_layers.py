@@ -90,11 +90,11 @@ def make_indirect(
     with timed(seconds, "pixels"):
         for material in here.materials(grey=True):
             # In their peaks points are told apart, for all parts of the material.
-            glossy = [key for reflection, _, key in material.parts if not reflection.is_constant]
+            glossy = [part.key for part in material.parts if part.reflection and not part.reflection.is_constant]
             told_apart = [method.peak, *glossy] if glossy else []
             for _, record, key in material.parts:
                 record["indirect"] = f"indirect-{store.key_of(pixels_key, key, *told_apart)}"
-            rows = MaterialRows(folder, here.receivers, material.groups, [part[:2] for part in material.parts])
+            rows = MaterialRows(folder, here.receivers, material.groups, material.in_rows)
             rows.gathered("indirect", kept, gather, functools.partial(report, f"pixels of {material.name}"))
             materials += [record for _, record, _ in material.parts]
 

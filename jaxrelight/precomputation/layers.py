@@ -7,6 +7,7 @@ import pathlib
 import numpy as np
 
 from jaxrelight.basis import cubemap
+from jaxrelight.basis.cube_grid import point_count
 from jaxrelight.brdf.factors import check_terms
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.separable import Separable
@@ -17,14 +18,17 @@ from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.groups import complete
 from jaxrelight.precomputation.layer_files import write_lights
+from jaxrelight.precomputation.load import is_filtered
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.placing import place
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
+from jaxrelight.transport import bake
 from jaxrelight.transport.bounce import Gather
 from jaxrelight.transport.compression import compression, shared
-from jaxrelight.transport.model import SceneGeometry
+from jaxrelight.transport.filtered_visibility import CELLS, MAX_ANGLE, visibility_distances
+from jaxrelight.transport.model import SceneGeometry, frames_of
 from jaxrelight.transport.visibility import trace_visibility
 
 
@@ -82,27 +86,35 @@ def make_layers(
     stage = f"bounce {method.bounces}" if gather else "transport"
     with timed(seconds, stage):
         for material in here.materials(grey=method.receivers == "vertices"):
-            for _, record, key in material.parts:
-                if method.coefficients != "all":
-                    direct = store.key_of(visibility_key, key, compression(method).dial)
-                    record["transport"] = f"transport-{direct}"
+            direct = [(reflection, record) for reflection, record in material.in_rows if not is_filtered(record)]
+            for part in material.parts:
+                if method.coefficients != "all" and not is_filtered(part.record):
+                    key = store.key_of(visibility_key, part.key, compression(method).dial)
+                    part.record["transport"] = f"transport-{key}"
                 if gather:
-                    bounced = store.key_of(visibility_key, key, shared(method).dial, gather.key)
-                    record["bounced"] = f"bounced-{bounced}"
-            rows = MaterialRows(folder, receivers, material.groups, [part[:2] for part in material.parts])
-            if method.coefficients != "all":
+                    key = store.key_of(visibility_key, part.key, shared(method).dial, gather.key)
+                    part.record["bounced"] = f"bounced-{key}"
+            if method.coefficients != "all" and direct:
+                rows = MaterialRows(folder, receivers, material.groups, direct)
                 rows.direct(method, visibility, functools.partial(report, f"transport of {material.name}"))
             if gather:
+                rows = MaterialRows(folder, receivers, material.groups, material.in_rows)
                 gather_report = functools.partial(report, f"{stage} on {material.name}")
                 rows.gathered("bounced", shared(method), gather, gather_report)
-            materials += [record for _, record, _ in material.parts]
+            materials += [part.record for part in material.parts]
             notes += material.notes
 
+    filtered = None
+    if any(record["reflection"] == "filtered" for record in materials):
+        with timed(seconds, "filtered visibility"):
+            filtered = _filter_visibility(visibility, visibility_key, receivers, method, folder, report).folder.name
     if any(here.geometry.normal_maps) and method.receivers == "vertices":
         notes.append(
-            "normal maps are sampled at vertices, their detail between them is lost; --receivers pixels has it"
+            "normal maps are sampled at vertices, but for filtered lobes; their detail between vertices is lost; "
+            "--receivers pixels has it"
         )
-    header = here.header(materials, write_lights(folder, scene.lights.local), visibility=visibility.folder.name)
+    lights = write_lights(folder, scene.lights.local)
+    header = here.header(materials, lights, visibility=visibility.folder.name, filtered=filtered)
     return BuiltLayers(folder, header, here.geometry, rays, tuple(notes))
 
 
@@ -128,3 +140,24 @@ def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, dire
 
     complete([layer], receivers.filled, trace, functools.partial(report, "visibility"))
     return sum(rays)
+
+
+def _filter_visibility(
+    visibility: store.Layer, key: str, receivers: Receivers, method: Transport, folder: pathlib.Path, report: Report
+) -> store.Layer:
+    """Completes the layer of filtered visibility, from the visibility of all receivers; no ray."""
+    layer = store.make_layer(
+        folder / f"filtered-{store.key_of(key, CELLS, MAX_ANGLE)}",
+        {"codes": ((GROUP, point_count(CELLS)), np.dtype(np.int8))},
+        len(receivers.filled),
+    )
+    if layer.missing:
+        directions = bake.directions_for(method.resolution, method.samples_per_side)
+
+        def filter_group(group: int) -> None:
+            frames = frames_of(receivers, np.array([group]))[0]
+            codes = visibility_distances(visibility.read("bits", group), frames.astype(np.float32), directions)
+            layer.write(group, codes=np.asarray(codes))
+
+        complete([layer], receivers.filled, filter_group, functools.partial(report, "filtered visibility"))
+    return layer

@@ -4,6 +4,7 @@ import dataclasses
 import functools
 import json
 import pathlib
+from collections.abc import Collection
 
 import jax
 import numpy as np
@@ -11,11 +12,14 @@ from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.normal_maps import NormalMaps, at_vertices, see
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import SpatialFactors
+from jaxrelight.brdf.sub_lobes import narrower_lobes
 from jaxrelight.brdf.texture import Texture, constant
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
@@ -31,9 +35,11 @@ from jaxrelight.lights.record import from_records
 from jaxrelight.methods import METHODS, Indirect, Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis, InBasis, Operator, Summed
-from jaxrelight.transport.compression import Opened, compression, of_cloud, shared
+from jaxrelight.transport.compression import Opened, compression, of_cloud, padded_receivers, shared
+from jaxrelight.transport.filtered_visibility import FilteredVisibility
 from jaxrelight.transport.model import (
     Block,
+    FilteredLobes,
     PrecomputedIndirect,
     PrecomputedTransport,
     SceneGeometry,
@@ -97,19 +103,31 @@ def _load(
         raise InputError(f"{folder}: geometry and visibility do not belong together; precompute again")
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
         raise ValueError("materials and meshes do not belong together")
-    blocks, energies = zip(
-        *(_block(folder, record, method, receivers, visibility) for record in header["materials"]), strict=True
-    )
+    codes = _whole_layer(folder / header["filtered"]) if header.get("filtered") else None
+    blocks, energies, lobes = [], [(0.0, 0.0)], []
+    for record in header["materials"]:
+        brdf = from_record(
+            record["brdf"], functools.partial(_read_table, folder), what=f"the store's material '{record['name']}'"
+        )
+        if "bounced" in record or not is_filtered(record):
+            block, energy = _block(folder, record, brdf, method, receivers, visibility)
+            blocks.append(block)
+            energies.append(energy)
+        if is_filtered(record):
+            assert isinstance(method, Transport)
+            assert isinstance(brdf, LobeSum | SpatialLobes)
+            lobes.append(_filtered_lobes(folder, record, brdf, method, receivers, codes))
     left, total = (sum(energy) for energy in zip(*energies, strict=True))
     environment = header["environment"] or {"pixels": None, "rotate_y": 0.0, "scale": 1.0}
     layer, points = environment["pixels"], None
     if isinstance(method, Indirect):
         points = _read_points(_whole_layer(folder / header["cloud"]))
     seen = {record["number"]: record["name"] for record in header["materials"]}
+    materials = tuple(seen.get(number) for number in header["material_of_mesh"])
     stored = StoredScene(
         key=store.key_of(str(folder), json.dumps(header, sort_keys=True)),
         folder=folder,
-        geometry=_for_views(geometry, method, tuple(seen.get(number) for number in header["material_of_mesh"])),
+        geometry=_for_views(geometry, method, materials, {part.material for part in lobes}),
         camera=camera,
         visibility=visibility,
         environment=store.open_layer(folder / layer) if layer else None,
@@ -119,32 +137,45 @@ def _load(
         cloud=points,
     )
     kept = 1 - left / total if total else 1.0
-    transport = PrecomputedTransport(tuple(blocks), _basis(method), method, stored, kept)
+    transport = PrecomputedTransport(tuple(blocks), tuple(lobes), _basis(method), method, stored, kept)
     if points is None or not isinstance(method, Indirect):
         return transport
     return PrecomputedIndirect(transport, _read_cloud(folder, header, points, method))
 
 
 def _for_views(
-    geometry: SceneGeometry, method: Transport | Indirect, materials: tuple[str | None, ...]
+    geometry: SceneGeometry,
+    method: Transport | Indirect,
+    materials: tuple[str | None, ...],
+    filtered: Collection[str],
 ) -> SceneGeometry:
-    """Where receivers are vertices, normal maps are bent into their normals once for all views."""
+    """Where receivers are vertices, normal maps are bent into their normals once for all views.
+
+    But for materials whose lobes are filtered: those see the map in every pixel.
+    """
     if method.receivers == "pixels":
         return dataclasses.replace(geometry, material_of_mesh=materials)
-    surfaces = at_vertices(geometry.surfaces, geometry.normal_maps)
-    return dataclasses.replace(geometry, surfaces=surfaces, normal_maps=(), material_of_mesh=materials)
+    in_pixels = [name in filtered for name in materials]
+    maps = [None if in_pixel else one for one, in_pixel in zip(geometry.normal_maps, in_pixels, strict=True)]
+    surfaces = at_vertices(geometry.surfaces, maps)
+    maps = tuple(one if in_pixel else None for one, in_pixel in zip(geometry.normal_maps, in_pixels, strict=True))
+    return dataclasses.replace(geometry, surfaces=surfaces, normal_maps=maps, material_of_mesh=materials)
+
+
+def is_filtered(record: dict) -> bool:
+    """Whether direct light of a BRDF is filtered light times the visible share of its lobes, and not of rows."""
+    return record["reflection"] != "factors"
 
 
 def _block(
     folder: pathlib.Path,
     record: dict,
+    brdf: Brdf | SpatialLobes,
     method: Transport | Indirect,
     receivers: Receivers,
     visibility: store.Layer | None,
 ) -> tuple[Block, tuple[float, float]]:
     """One BRDF of one material, and of its rows the energy that is left out and the total."""
-    called = f"the store's material '{record['name']}'"
-    brdf = from_record(record["brdf"], functools.partial(_read_table, folder), what=called)
     groups = receivers.groups_of(record["number"])
     if record["factors"]:
         read = read_spatial_factors if isinstance(brdf, SpatialLobes) else read_factors
@@ -156,11 +187,11 @@ def _block(
     if isinstance(method, Indirect):
         kept = of_cloud(method, np.ones(method.gather_samples))
         opened.append(kept.open(_layer_of(folder / record["indirect"], groups)))
-    elif method.coefficients != "all":
+    elif method.coefficients != "all" and not is_filtered(record):
         opened.append(compression(method).open(_layer_of(folder / record["transport"], groups)))
     operators: list[Operator] = [one.operator for one in opened]
     if isinstance(method, Transport):
-        if method.coefficients == "all":
+        if method.coefficients == "all" and not is_filtered(record):
             assert visibility is not None
             operators.append(streamed(method, visibility, receivers, groups, reflection))
         if method.bounces:
@@ -188,12 +219,42 @@ def _block(
         operator=operators[0] if len(operators) == 1 else Summed(tuple(operators)),
         first_group=int(groups[0]),
         group_count=len(groups),
+        has_direct=not is_filtered(record),
         dropped=None if dropped is None else as_array(dropped, np.float32),
         emission=as_array(emission, np.float32) if emission else None,
         emitted=None if emitted is None else as_array(emitted),
     )
     left = 0.0 if dropped is None else _energy(dropped)
     return block, (left, sum(_energy(one.total) for one in opened))
+
+
+def _filtered_lobes(
+    folder: pathlib.Path,
+    record: dict,
+    brdf: LobeSum | SpatialLobes,
+    method: Transport,
+    receivers: Receivers,
+    codes: store.Layer | None,
+) -> FilteredLobes:
+    """Lobes of one material whose direct light is of no rows."""
+    groups, emission = receivers.groups_of(record["number"]), record.get("emission")
+    visibility = None
+    if record["reflection"] == "filtered":
+        assert codes is not None
+        held = np.concatenate([codes.read("codes", int(group)) for group in groups])
+        # Of one of few lengths, so that another mesh of about the same size compiles nothing new.
+        more = padded_receivers(len(held)) - len(held)
+        visibility = FilteredVisibility(as_array(np.pad(held, ((0, more), (0, 0))), np.int8))
+    return FilteredLobes(
+        material=record["name"],
+        brdf=jax.tree.map(as_array, brdf.packed() if isinstance(brdf, SpatialLobes) else brdf),
+        weight=tuple(read_texture(folder, entry) for entry in record["weight"]),
+        visibility=visibility,
+        narrower=narrower_lobes(brdf, method.reflection_tolerance),
+        first_group=int(groups[0]),
+        # The first BRDF of a material has its emission.
+        emission=as_array(emission, np.float32) if emission and "bounced" not in record else None,
+    )
 
 
 def _energy(of_rows: Float[np.ndarray, "r c"]) -> float:

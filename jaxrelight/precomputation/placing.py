@@ -10,11 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from jaxrelight.brdf.material import as_material, split_tint
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import as_material, has_lobes, split_diffuse, split_tint
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.spatial_factors import without_diffuse
+from jaxrelight.brdf.sub_lobes import narrowest
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import Receivers
@@ -34,17 +36,21 @@ from jaxrelight.precomputation.load import receivers_of
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.model import SceneGeometry, fixed_view
 
+# Lobes of which 1/(n + 1) is less than this, over the square of a face's side in texels, would fall between the centres
+# of texels.
+_NARROWEST = 2.0
+
 
 class Reflected(NamedTuple):
     """One BRDF of a material, as rows are made of it.
 
     Attributes:
-        reflection: of the BRDF.
+        reflection: of the BRDF; None where it has no rows, as what is filtered has without bounces.
         record: what the header says of it; the names of its layers of rows are to be added.
         key: of what the rows follow from beside the receivers.
     """
 
-    reflection: Reflection
+    reflection: Reflection | None
     record: dict
     key: str
 
@@ -63,6 +69,11 @@ class PlacedMaterial(NamedTuple):
     groups: Int[np.ndarray, " g"]
     parts: list[Reflected]
     notes: list[str]
+
+    @property
+    def in_rows(self) -> list[tuple[Reflection, dict]]:
+        """The reflections that have rows, and the records that name their layers."""
+        return [(part.reflection, part.record) for part in self.parts if part.reflection is not None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,25 +130,38 @@ class PlacedScene:
             if not len(groups):
                 continue
             material = as_material(self.scene.materials[name])
-            if self.method.receivers == "vertices":
-                material = without_diffuse(material)
-            material = split_tint(material, diffuse=self.method.receivers == "pixels") if grey else material
+            ways = [self._reflection_of(name, component.brdf) for component in material.components]
+            way = next((one for one in ways if one != "factors"), "factors")
+            filtered = way != "factors"
+            if filtered or self.method.receivers == "vertices":
+                material = split_diffuse(material, lobe_sums=filtered)
+            if grey and not filtered:
+                material = split_tint(material, diffuse=self.method.receivers == "pixels")
             bump = write_texture(self.folder, material.normal_map) if material.normal_map else None
             parts, notes = [], []
+            if filtered and self.method.receivers == "pixels":
+                notes.append(
+                    f"{name}: lobes that are narrower than the cube map's texels reflect filtered light times filtered "
+                    "visibility; --resolution has finer ones"
+                )
             for component in material.components:
                 brdf = component.brdf
                 described = to_record(brdf, functools.partial(write_table, self.folder))
                 terms = self.scene.terms.get(name, self.method.terms) if isinstance(self.method, Transport) else 1
-                reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.method)
-                if left and reflection:
+                of_filtered = filtered and has_lobes(brdf)
+                reflection, factors, left = None, None, None
+                if not of_filtered or self.method.bounces:
+                    reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.method)
+                if left and reflection and not of_filtered:
                     notes.append(
                         f"{name}: the shapes that stand for the lobes of all texels are {left.shapes:.1%} off, and "
                         f"{reflection.terms} terms leave {left.terms:.0%} of them; --terms is the dial"
                     )
-                reflection = reflection or fixed_view(brdf, receivers, groups)
+                if reflection is None and not of_filtered:
+                    reflection = fixed_view(brdf, receivers, groups)
                 weight = [write_texture(self.folder, texture) for texture in component.weight]
                 record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
-                record["normal_map"] = bump
+                record |= {"normal_map": bump, "reflection": way if of_filtered else "factors"}
                 if material.emission is not None and component is material.components[0]:
                     record["emission"] = material.emission.tolist()
                 more = [store.key_of(surfaces.uv, seen.footprint)] if isinstance(brdf, SpatialLobes) and seen else []
@@ -145,6 +169,15 @@ class PlacedScene:
                 key = store.key_of(number, described, factors, frames_key, *more)
                 parts.append(Reflected(reflection, record, key))
             yield PlacedMaterial(name, groups, parts, notes)
+
+    def _reflection_of(self, name: str, brdf: Brdf | SpatialLobes) -> str:
+        """How one BRDF of a material is reflected; pixels have exact rows, but of lobes narrower than texels."""
+        if not isinstance(self.method, Transport) or not has_lobes(brdf):
+            return "factors"
+        if self.method.receivers == "vertices":
+            return self.scene.reflections.get(name, self.method.reflection)
+        assert isinstance(brdf, LobeSum | SpatialLobes)
+        return "filtered" if narrowest(brdf) < _NARROWEST / self.method.resolution**2 else "factors"
 
     def header(self, materials: list[dict], lights: dict | None = None, **layers: str | None) -> dict:
         """What `load` takes: layers by their kinds, and records of materials."""

@@ -79,8 +79,10 @@ def precompute(
     seconds: dict[str, float] = {}
     passes, left = [], 1.0
     gather, transport = None, None
+    # Bounces are of rows, which filtered lobes have none of.
+    in_factors = dataclasses.replace(scene, reflections={})
     while len(passes) < method.bounces and left > method.compression_tolerance:
-        passes.append(make_layers(scene, _of_pass(method, len(passes)), folder, report, seconds, gather))
+        passes.append(make_layers(in_factors, _of_pass(method, len(passes)), folder, report, seconds, gather))
         before = transport
         transport = _transport_of(passes[-1].folder, passes[-1].header, passes[-1].geometry)
         left = remaining(transport, before, albedo)
@@ -119,10 +121,10 @@ def _transport_of(folder: pathlib.Path, header: dict, geometry: SceneGeometry) -
 
 def _of_pass(method: Transport, bounces: int) -> Transport:
     """The dials of the light that the next pass is gathered from."""
-    compressed = method
-    if method.coefficients == "all":
-        compressed = dataclasses.replace(method, coefficients="shared")
-    return dataclasses.replace(compressed, receivers="vertices", bounces=bounces)
+    coefficients = "shared" if method.coefficients == "all" else method.coefficients
+    return dataclasses.replace(
+        method, coefficients=coefficients, receivers="vertices", bounces=bounces, reflection="factors"
+    )
 
 
 def _layers(built: BuiltLayers) -> list[str]:

@@ -10,6 +10,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
+from jaxrelight.methods import REFLECTIONS, check_choice
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Scene:
         name: what messages call it.
         assumptions: what was approximated, or taken because nothing else was said, one line each.
         terms: factors of a material, by its name, where it is to have another number than the method says.
+        reflections: how vertices reflect a material's lobes, by its name, where not as the method says; see
+            `Transport.reflection`.
     """
 
     parts: Sequence[Part]
@@ -41,6 +44,7 @@ class Scene:
     lights: Lights = dataclasses.field(default_factory=Lights)
     name: str = "scene"
     terms: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    reflections: Mapping[str, str] = dataclasses.field(default_factory=dict)
     assumptions: Sequence[str] = ()
 
     def __init__(
@@ -52,6 +56,7 @@ class Scene:
         name: str = "scene",
         terms: Mapping[str, int] | None = None,
         assumptions: Sequence[str] = (),
+        reflections: Mapping[str, str] | None = None,
     ):
         """See the attributes; lights are an environment, local lights, or a list of both."""
         for field, value in {
@@ -61,6 +66,7 @@ class Scene:
             "lights": as_lights(lights),
             "name": name,
             "terms": terms or {},
+            "reflections": reflections or {},
             "assumptions": assumptions,
         }.items():
             object.__setattr__(self, field, value)
@@ -87,11 +93,13 @@ class Scene:
         return any(as_material(self.materials[part.material]).emission is not None for part in self.parts)
 
     def check_materials(self) -> None:
-        """Refuses parts whose material is not given, or cannot be put on them.
+        """Refuses parts whose material is not given, or cannot be put on them, and unknown ways to reflect.
 
         Raises:
             InputError: for the first of them.
         """
+        for name, reflection in self.reflections.items():
+            check_choice(f"{self.name}: material '{name}': reflection", reflection, REFLECTIONS)
         for part in self.parts:
             if part.material not in self.materials:
                 raise InputError(f"{self.name}: '{part.name}' is of a material '{part.material}' that is not given")

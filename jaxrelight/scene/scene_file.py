@@ -50,6 +50,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     named = root.table("material", {})  # mesh files may bring all that is needed
     tables = {name: named.table(name) for name in named.names()}
     terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
+    reflections = {name: table.text("reflection") for name, table in tables.items() if table.has("reflection")}
     materials: dict[str, Brdf | Material] = {}
     mixtures, assumptions = {}, []
     for name, table in tables.items():
@@ -74,7 +75,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]; add one")
     lights = Lights(environment, lights)
-    return Scene(parts, materials, camera, lights, path.stem, terms, tuple(assumptions))
+    return Scene(parts, materials, camera, lights, path.stem, terms, tuple(assumptions), reflections)
 
 
 def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:
@@ -232,7 +233,8 @@ def _mixture(table: Table, folder: pathlib.Path, others: Mapping[str, Brdf | Mat
         part.finish()
     if not components:
         raise InputError(f"{table.where}: a mixture needs 'parts', a list of tables with 'material' and 'weight'")
-    table.has("terms")  # read elsewhere
+    for key in ("terms", "reflection"):
+        table.has(key)  # read elsewhere
     bumps, emission = _normal_map(table, folder), _emission(table)
     table.finish()
     return Material(tuple(components), bumps, emission)

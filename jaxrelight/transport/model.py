@@ -12,6 +12,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.normal_maps import NormalMaps
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
@@ -31,10 +32,11 @@ from jaxrelight.lights.lights import Lights
 from jaxrelight.lights.local import Light
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.operators.contract import Basis, Operator
+from jaxrelight.operators.contract import Basis, Operator, parts_of
 from jaxrelight.operators.sharded import sharded
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.transport import bake
+from jaxrelight.transport.filtered_visibility import FilteredVisibility
 from jaxrelight.transport.streamed import Streamed
 
 
@@ -130,6 +132,7 @@ class Block(eqx.Module):
             of direct and of bounced light.
         first_group: the first of the material's groups of receivers.
         group_count: how many groups follow it, with itself.
+        has_direct: whether direct light is in the operator, and is the first of its sum; else it is of filtered lobes.
         dropped: energy left out of every row by channel, of direct and of bounced light; None where nothing is.
         emission: radiance that the material emits; of its first block alone, None for the others.
         emitted: light terms of what other surfaces emit, by way of bounces; None where there is none.
@@ -142,6 +145,7 @@ class Block(eqx.Module):
     operator: Operator
     first_group: int = eqx.field(static=True)
     group_count: int = eqx.field(static=True)
+    has_direct: bool = eqx.field(static=True)
     dropped: Float[Array, "r c"] | None
     emission: Float[Array, "3"] | None = None
     emitted: Float[Array, "v k c"] | None = None
@@ -151,12 +155,40 @@ class Block(eqx.Module):
         """The groups of the material's receivers."""
         return np.arange(self.first_group, self.first_group + self.group_count)
 
+    @property
+    def bounced(self) -> tuple[Operator, ...]:
+        """The operators of bounced light."""
+        return parts_of(self.operator)[1 if self.has_direct else 0 :]
+
+
+class FilteredLobes(eqx.Module):
+    """Lobes of a material whose direct light is filtered light times filtered visibility, in no operator.
+
+    Attributes:
+        material: its name.
+        brdf: the lobes, without a diffuse part.
+        weight: the factor on them over the surface.
+        visibility: of the material's receivers; None where each view traces its own.
+        narrower: how many narrower lobes each is shaded as, see `brdf.sub_lobes`.
+        first_group: the first of the material's groups of receivers.
+        emission: radiance that the material emits, where none of its blocks has it.
+    """
+
+    material: str = eqx.field(static=True)
+    brdf: LobeSum | PackedLobes
+    weight: Weight
+    visibility: FilteredVisibility | None
+    narrower: int = eqx.field(static=True)
+    first_group: int = eqx.field(static=True)
+    emission: Float[Array, "3"] | None = None
+
 
 class PrecomputedTransport(eqx.Module):
     """What a store holds, ready to light and to view with.
 
     Attributes:
-        blocks: a block for each BRDF of each material that receivers have.
+        blocks: a block for each BRDF of each material that receivers have, but for filtered lobes without bounces.
+        lobes: filtered lobes.
         basis: of the operators' light.
         method: the dials it was made with.
         stored: the rest of the store, on the host.
@@ -164,6 +196,7 @@ class PrecomputedTransport(eqx.Module):
     """
 
     blocks: tuple[Block, ...]
+    lobes: tuple[FilteredLobes, ...]
     basis: Basis
     method: Transport | Indirect = eqx.field(static=True)
     stored: StoredScene = eqx.field(static=True)
@@ -198,7 +231,7 @@ class PrecomputedTransport(eqx.Module):
     @property
     def emits(self) -> bool:
         """Whether surfaces emit light."""
-        return any(block.emission is not None for block in self.blocks)
+        return any(part.emission is not None for part in (*self.blocks, *self.lobes))
 
     def sharded(self, mesh: Mesh) -> "PrecomputedTransport":
         """The same with the rows of its operators spread over the devices of a mesh; see `operators.sharded`.

@@ -15,7 +15,7 @@ from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import InBasis, Operator, Summed, parts_of
+from jaxrelight.operators.contract import InBasis, Operator, Summed
 from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import padded_receivers
@@ -26,7 +26,8 @@ from jaxrelight.transport.streamed import Streamed
 def exact(transport: PrecomputedTransport) -> PrecomputedTransport:
     """The same scene with nothing of direct light left out: rows over all texels, baked from visibility at every use.
 
-    The reference that the kept coefficients are measured against; factors and bounced light stay what they are.
+    The reference that the kept coefficients are measured against; factors, filtered lobes and bounced light stay what
+    they are.
 
     Raises:
         InputError: of a store for local lights.
@@ -34,11 +35,12 @@ def exact(transport: PrecomputedTransport) -> PrecomputedTransport:
     visibility, method = _visibility_of(transport), _transport_of(transport)
     blocks = []
     for block in transport.blocks:
-        direct = streamed(method, visibility, transport.receivers, block.groups, block.reflection)
-        bounced = parts_of(block.operator)[1:]
+        parts: list[Operator] = list(block.bounced)
         if method.coefficients != "all":
-            bounced = [InBasis(one, HaarFaces(method.resolution)) for one in bounced]
-        operator = Summed((direct, *bounced)) if bounced else direct
+            parts = [InBasis(one, HaarFaces(method.resolution)) for one in parts]
+        if block.has_direct:
+            parts.insert(0, streamed(method, visibility, transport.receivers, block.groups, block.reflection))
+        operator = parts[0] if len(parts) == 1 else Summed(tuple(parts))
         blocks.append(dataclasses.replace(block, operator=operator, dropped=None))
     method = dataclasses.replace(method, coefficients="all")
     basis = cubemap.Texels(method.resolution)

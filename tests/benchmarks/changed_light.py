@@ -55,7 +55,9 @@ def _relighter(folder: pathlib.Path, coefficients, resolution: int) -> Transport
     from jaxrelight import Transport, load_scene, prepare
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    relighter = prepare(scene, Transport("vertices", resolution=resolution, coefficients=coefficients), folder)
+    relighter = prepare(
+        scene, Transport("vertices", reflection="factors", resolution=resolution, coefficients=coefficients), folder
+    )
     assert isinstance(relighter, TransportRelighter)
     return relighter
 

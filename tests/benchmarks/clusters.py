@@ -399,7 +399,9 @@ def speed(report: Report, scene, terms: int, tolerance: float, one: Sample, fold
     from jaxrelight.lighting.transport import TransportRelighter
     from jaxrelight.operators.clustered import Clustered, quantised_clusters
 
-    method = Transport("vertices", terms=terms, resolution=RESOLUTION, compression_tolerance=tolerance)
+    method = Transport(
+        "vertices", reflection="factors", terms=terms, resolution=RESOLUTION, compression_tolerance=tolerance
+    )
     relighter = prepare(scene, method, folder)
     assert isinstance(relighter, TransportRelighter)
     operator = [block.operator for block in relighter.transport.blocks if block.material == "object"][-1]

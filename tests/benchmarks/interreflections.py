@@ -70,7 +70,9 @@ def box(report: Report, folder: pathlib.Path, resolution: int):
     scene = jr.Scene([jr.Part(inside, "wall")], {"wall": wall}, camera)
     dark, rows = jr.environment(np.zeros((4, 8, 3), np.float32)), []
     for bounces in (1, 2) if resolution < 64 else (1, 2, 3, 4, 6, 8, 12):
-        method = jr.Transport("vertices", resolution=4, bounces=bounces, compression_tolerance=0.0)
+        method = jr.Transport(
+            "vertices", reflection="factors", resolution=4, bounces=bounces, compression_tolerance=0.0
+        )
         image = jr.prepare(scene, method, folder / "box").picture(dark)[..., :3]
         series = (1 - 0.5 ** (bounces + 1)) / 0.5
         off = np.abs(image / series - 1)
@@ -136,7 +138,9 @@ def _pass_of_the_bunny(folder: pathlib.Path, resolution: int):
     dials: dict[str, Any] = {}
     if resolution < 64:
         scene, dials = _smaller("bunny_phong", *TRIAL), {"gather_resolution": 4}
-    made = precompute(scene, jr.Transport("vertices", resolution=resolution, bounces=1, **dials), folder)
+    made = precompute(
+        scene, jr.Transport("vertices", reflection="factors", resolution=resolution, bounces=1, **dials), folder
+    )
     answer({"seconds": made.seconds, "receivers": made.receivers, "bytes": _held(made)})
 
 
@@ -160,7 +164,9 @@ def study(report: Report, folder: pathlib.Path, resolution: int):
         """Bounced light alone, what the last bounce took, and how many coefficients and shared rows a group has."""
         # Light that bounces is applied alone, that of a sun as all else.
         dials = {"gather_resolution": side, **dials}
-        method = jr.Transport("vertices", resolution, bounces=bounces, split_sun=not bounces, **dials)
+        method = jr.Transport(
+            "vertices", resolution, reflection="factors", bounces=bounces, split_sun=not bounces, **dials
+        )
         image, made, relighter = _lit(scene, method, store)
         if bounces:
             transport = relighter.transport

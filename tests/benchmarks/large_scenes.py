@@ -133,7 +133,9 @@ def child(path: pathlib.Path, resolution: int):
     start = time.perf_counter()
     scene = load_scene(path)
     read = time.perf_counter() - start
-    method = Transport("vertices", resolution=resolution, coefficients=min(128, 6 * resolution**2))
+    method = Transport(
+        "vertices", reflection="factors", resolution=resolution, coefficients=min(128, 6 * resolution**2)
+    )
     made = precompute(scene, method, path.with_suffix(""))
     start = time.perf_counter()
     relighter = open_store(made.folder)

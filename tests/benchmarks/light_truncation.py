@@ -43,7 +43,9 @@ def measure(report: Report, folder: pathlib.Path, resolution: int, steps: int, p
     from jaxrelight.lights.environment import coarsened
 
     scene = load_scene(shared("reference", f"{SCENE}.toml"))
-    relighter = prepare(scene, Transport("vertices", resolution=resolution, coefficients=128), folder / SCENE)
+    relighter = prepare(
+        scene, Transport("vertices", reflection="factors", resolution=resolution, coefficients=128), folder / SCENE
+    )
     assert isinstance(relighter, TransportRelighter)
     exact, kept = rows(relighter.transport)
     lights = {

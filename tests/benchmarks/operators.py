@@ -75,7 +75,9 @@ def compare(report: Report, name: str, scene, terms: int, resolution: int, look:
 
     def prepare(label: str, **dials):
         # A sun, where a light has one, is compressed like all else.
-        method = jr.Transport("vertices", resolution=resolution, terms=terms, split_sun=False, **dials)
+        method = jr.Transport(
+            "vertices", reflection="factors", resolution=resolution, terms=terms, split_sun=False, **dials
+        )
         relighters[label], made[label] = prepare_with_build(scene, method, folder)
 
     for label, dials in DIRECT.items():

@@ -178,7 +178,9 @@ def precompute_child(path: pathlib.Path, terms: int, resolution: int, folder: pa
 
     scene = load_scene(path)
     start = time.perf_counter()
-    done = precompute(scene, Transport("vertices", terms=terms, resolution=resolution, coefficients=128), folder)
+    done = precompute(
+        scene, Transport("vertices", reflection="factors", terms=terms, resolution=resolution, coefficients=128), folder
+    )
     wall = time.perf_counter() - start
     answer(
         {"seconds": done.seconds, "wall": wall, "rays": done.rays, "receivers": done.receivers, "bytes": done.nbytes}

@@ -40,7 +40,7 @@ def measure(report: Report, side: int, size: int, edge: float, resolution: int, 
     ways = {"pixels": Transport("pixels", resolution, coefficients="all")}
     for count in terms:
         ways[f"K = {count}"] = Transport(
-            "vertices", resolution, terms=count, coefficients=COEFFICIENTS, factor_resolution=48
+            "vertices", resolution, reflection="factors", terms=count, coefficients=COEFFICIENTS, factor_resolution=48
         )
     truth, rows = [], []
     for name, method in ways.items():

@@ -11,9 +11,9 @@ import pytest
 from jaxrelight.brdf import spatial_factors
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.brdf.material import Component, Material
+from jaxrelight.brdf.material import Component, Material, split_diffuse
 from jaxrelight.brdf.pairs import spread_pairs
-from jaxrelight.brdf.spatial_factors import factor_spatial, without_diffuse
+from jaxrelight.brdf.spatial_factors import factor_spatial
 from jaxrelight.brdf.texture import constant
 from tests.brdf.test_spatial import maps
 
@@ -106,7 +106,7 @@ def test_far_away_the_mean_of_all_texels_is_seen():
 
 def test_the_diffuse_part_is_a_component_of_its_own():
     lobes, tint = maps(*SHAPE), constant([1.0, 0.5, 0.2])
-    diffuse, glossy = without_diffuse(Material((Component(lobes, (tint,)),))).components
+    diffuse, glossy = split_diffuse(Material((Component(lobes, (tint,)),))).components
     np.testing.assert_array_equal(diffuse.weight[0].pixels, lobes.diffuse)
     assert diffuse.weight[1] is glossy.weight[0] is tint
     assert not np.asarray(glossy.brdf.diffuse).any()  # pyright: ignore[reportAttributeAccessIssue]
@@ -118,7 +118,7 @@ def test_the_diffuse_part_is_a_component_of_its_own():
 def test_black_lobes_are_left_away(lobes):
     black = maps(*SHAPE, lobes)
     black = dataclasses.replace(black, scale=jnp.asarray(np.zeros_like(black.scale)))
-    assert len(without_diffuse(Material((Component(black),))).components) == 1
+    assert len(split_diffuse(Material((Component(black),))).components) == 1
 
 
 def test_extremes_are_finite():

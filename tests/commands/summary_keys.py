@@ -5,7 +5,7 @@ import dataclasses
 from jaxrelight.methods import METHODS
 
 DIALS_OF = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in METHODS.items()}
-_NAMED = "materials", "meshes"
+_NAMED = "materials", "meshes", "filtered_lobes"
 
 
 def _of_group(name: str, *keys: str) -> set[str]:
@@ -40,7 +40,9 @@ KEYS = {
     "adaptive": _lit("adaptive") | NOW | PLAN | _of_group("maps", "bandwidth", "level", "samples", "error"),
     "relight": _lit("transport") | RELIT,
     "demo": _lit("transport") | TRANSPORT - {"seconds.load"} | SHOWN,
-    "store": _lit("transport") | STORE | {"kind", "scene", "rows", "materials.*", "bytes.*", "unused_layers"}
+    "store": _lit("transport")
+    | STORE
+    | {"kind", "scene", "rows", "materials.*", "filtered_lobes.*", "bytes.*", "unused_layers"}
     | {"lights", "leaves_out", "largest_error_for_unit_light"},
     "scene": {"command", "kind", "scene", "vertices", "materials.*", "lights"}
     | _of_group("meshes.*", "vertices", "faces", "material")

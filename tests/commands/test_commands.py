@@ -199,6 +199,9 @@ def test_render_then_again(folder, run):
         "receivers": "pixels",
         "resolution": 8,
         "visibility_samples": 1,
+        "reflection": "filtered",
+        "reflection_tolerance": 0.01,
+        "reflection_rays": 64,
         "terms": 2,
         "coefficients": 32,
         "factor_resolution": 8,
@@ -338,9 +341,10 @@ def test_info_on_a_store(folder, run, made):
     summary = summary_of(run("info", "made", "--json"))
     assert summary["scene"] == "scene"
     assert summary["receivers"] == 16 + 56
-    # A Lambert floor; of the other material, what is diffuse and two terms of its lobe.
-    assert summary["rows"] == 128 + 3 * 128
-    assert summary["materials"] == {"gloss": 3, "paper": 1}
+    # A Lambert floor, and what is diffuse of the other material; its lobe is filtered.
+    assert summary["rows"] == 128 + 128
+    assert summary["materials"] == {"gloss": 1, "paper": 1}
+    assert set(summary["filtered_lobes"]) == {"gloss"}
     assert summary["settings"]["coefficients"] == 32
     assert set(summary["bytes"]) == {path.name for path in made.iterdir() if path.is_dir()}
     assert summary["unused_layers"] == []
@@ -411,7 +415,7 @@ def test_damaged_store_is_one_line(folder, run, made):
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["quick", "own dials"])
 def test_demo(folder, run, monkeypatch, quick: bool):
     if quick:
-        small = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=8)
+        small = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=8)
         monkeypatch.setattr("jaxrelight.commands.demo.Transport", lambda *_, **__: small)
     summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     pictures = {path.name for path in (folder / "shown").glob("*.png")}

@@ -36,7 +36,7 @@ def test_keys(run, folder, request, kind: str, arguments: list[str]):
 
 
 def test_keys_of_the_demo(folder, run, monkeypatch):
-    small = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=8)
+    small = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=8)
     monkeypatch.setattr("jaxrelight.commands.demo.Transport", lambda *_, **__: small)
     summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     assert keys_of(summary) == KEYS["demo"]

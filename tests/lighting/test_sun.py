@@ -13,7 +13,9 @@ from jaxrelight.precomputation.precompute import precompute
 from tests.opening import open_transport
 from tests.scenes import block_aside
 
-SETTINGS = Transport("vertices", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8)
+SETTINGS = Transport(
+    "vertices", reflection="factors", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8
+)
 
 
 def _scene(block: str = "gloss") -> Scene:

@@ -44,7 +44,7 @@ from tests.scenes import ball_over_floor
 from tests.transport.stores import load_transport, number_of, open_transport, reflections_of
 
 # One set of shapes for most of the file: compiling is what takes time here.
-METHOD = Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
+METHOD = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=12)
 PIXELS = dataclasses.replace(METHOD, receivers="pixels")
 
 
@@ -461,7 +461,7 @@ import pathlib, sys
 import jaxrelight as jr
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
-method = jr.Transport("vertices", resolution=8, terms=2, coefficients=32, factor_resolution=12)
+method = jr.Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=12)
 def report(*progress):
     print(*progress, flush=True)
 precompute(demo_scene(detail=0.1, size=24), method, pathlib.Path(sys.argv[1]), report)

@@ -24,7 +24,14 @@ from tests.transport.scenes import ball_on_floor
 from tests.transport.stores import block_of, load_transport, precomputed, reflections_of
 
 SMALL = Transport(
-    "vertices", resolution=8, terms=2, factor_resolution=12, compression_tolerance=0.0, bounces=1, gather_resolution=8
+    "vertices",
+    reflection="factors",
+    resolution=8,
+    terms=2,
+    factor_resolution=12,
+    compression_tolerance=0.0,
+    bounces=1,
+    gather_resolution=8,
 )
 ROOM = dataclasses.replace(SMALL, resolution=4, gather_resolution=16)
 UP: Any = np.array([0, 0, 1], np.float32)
