@@ -6,6 +6,7 @@ The public names, each loaded when it is first used:
     many items      fit_lobes, Fits
     both            Options, Verdict
     blends          blended, composed, painted, uniform
+    scenes          with_lobes
 """
 
 import importlib
@@ -16,6 +17,7 @@ _HOMES = {
     "brdf_samples": ("BrdfSamples", "Grid", "sample"),
     "weights": ("weights",),
     "blend": ("blended", "composed", "painted", "uniform"),
+    "scene_lobes": ("with_lobes",),
     "solve": ("fit_lobes", "Fits", "Options", "Verdict"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -106,6 +106,19 @@ def factor(
     return _fewest(samples, form, terms, error)
 
 
+def factor_error(brdf: Brdf, factors: Factored | Symmetric, cosine: tuple[float, float] = COSINE) -> float:
+    """What factors leave of a BRDF: the relative root mean square, weighted as in `factor`, of the worst channel.
+
+    Args:
+        brdf: of several directions.
+        factors: of it.
+        cosine: powers by which the error is weighted.
+    """
+    maps = factors.maps if isinstance(factors, Symmetric) else factors.light_maps
+    samples = Samples(brdf, factors.parametrisation, maps.shape[-1], cosine)
+    return float(_errors(samples, factors)[-1])
+
+
 def check_terms(terms: int, resolution: int, parametrisation: Parametrisation = DISC) -> None:
     """Finds out, before long work, whether maps have enough directions for so many terms.
 

@@ -49,8 +49,10 @@ def narrower_lobes(lobes: LobeSum | SpatialLobes, tolerance: float) -> int:
 
 
 def narrowest(lobes: LobeSum | SpatialLobes) -> float:
-    """The least 1/(n + 1) of lobes that reflect a hundredth of the light, or more."""
+    """The least 1/(n + 1) of lobes that reflect a hundredth of the light, or more; 1 where none reflects any."""
     width, share = _widths(lobes)
+    if not share.any():
+        return 1.0
     order = np.argsort(width)
     together = np.cumsum(share[order])
     return float(width[order][np.searchsorted(together, min(0.01, together[-1]))])

@@ -15,7 +15,7 @@ from jaxrelight.images.files import check_writable, write_image, write_layers
 from jaxrelight.lighting.contract import Image, Relighter
 from jaxrelight.lighting.prepare import prepare_with_build
 from jaxrelight.lights.lights import Lights
-from jaxrelight.methods import Method
+from jaxrelight.methods import Method, Prefiltered, Transport
 from jaxrelight.progress import Report, notes
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
@@ -35,6 +35,16 @@ def prepared(
     scene: Scene, method: Method, store: pathlib.Path | None, report: Report, summary: dict, seconds: dict[str, float]
 ) -> Relighter:
     """`prepare`; tells its notes, and adds what was precomputed to the summary and to the seconds."""
+    if isinstance(method, Prefiltered) or (
+        isinstance(method, Transport) and method.receivers == "vertices" and method.reflection != "factors"
+    ):
+        from fitting.scene_lobes import with_lobes
+
+        with timed(fits := {}, "fit"):
+            scene, lines = with_lobes(scene, report)
+        if lines:
+            notes(lines)
+            seconds.update(fits)
     with timed(whole := {}, "prepare"):
         relighter, build = prepare_with_build(scene, method, store, report)
     seconds.update(whole if build is None else build.seconds)

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
-from jaxrelight.brdf.factors import COSINE, factor
+from jaxrelight.brdf.factors import COSINE, factor, factor_error
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import FactorResidual, SpatialFactors, factor_spatial
@@ -112,14 +112,14 @@ def write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 def factors_of(
     folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, method: Transport | Indirect
 ) -> tuple[Factored | SpatialFactors | None, str | None, FactorResidual | None]:
-    """Factors, from their layer if it exists, its name, and what those of a spatial BRDF leave out.
+    """Factors, from their layer if it exists, its name, and what they leave out.
 
     None for pixels unless the BRDF is constant. What is given as factors is taken as it is, whatever the method says.
     """
     if method.receivers == "pixels" and not brdf.is_constant:
         return None, None, None
     resolution = method.factor_resolution if isinstance(method, Transport) else Transport.factor_resolution
-    dials = () if isinstance(brdf, Separable) else (terms, resolution, *COSINE)
+    dials = () if isinstance(brdf, Separable) else (terms, resolution, *COSINE, "left")
     key = store.key_of(described, *dials)
     path = folder / f"factors-{key}"
     spatial = isinstance(brdf, SpatialLobes)
@@ -127,7 +127,8 @@ def factors_of(
         layer = store.open_layer(path)
         if spatial:
             return read_spatial_factors(layer), path.name, FactorResidual(*layer.read("left", 0).tolist())
-        return read_factors(layer), path.name, None
+        left = FactorResidual(*layer.read("left", 0).tolist()) if "left" in layer.arrays else None
+        return read_factors(layer), path.name, left
     # The layer is missing or damaged.
     if spatial:
         spatial_factors, left = factor_spatial(brdf, terms, resolution)
@@ -140,8 +141,12 @@ def factors_of(
         write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
         return spatial_factors, path.name, left
     factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, resolution)
-    write_once(path, {"light_maps": np.asarray(factors.light_maps), "view_maps": np.asarray(factors.view_maps)})
-    return factors, path.name, None
+    arrays, left = {"light_maps": factors.light_maps, "view_maps": factors.view_maps}, None
+    if not (isinstance(brdf, Separable) or brdf.is_constant):
+        left = FactorResidual(0.0, factor_error(brdf, factors))
+        arrays["left"] = np.array(dataclasses.astuple(left))
+    write_once(path, {name: np.asarray(array) for name, array in arrays.items()})
+    return factors, path.name, left
 
 
 def plain(value: Any) -> Any:

@@ -153,10 +153,9 @@ class PlacedScene:
                 if not of_filtered or self.method.bounces:
                     reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.method)
                 if left and reflection and not of_filtered:
-                    notes.append(
-                        f"{name}: the shapes that stand for the lobes of all texels are {left.shapes:.1%} off, and "
-                        f"{reflection.terms} terms leave {left.terms:.0%} of them; --terms is the dial"
-                    )
+                    shapes = f"shapes that stand for all texels are {left.shapes:.1%} off, and " if left.shapes else ""
+                    of_what = f"{left.terms:.0%} of {'them' if left.shapes else 'its BRDF'}"
+                    notes.append(f"{name}: {shapes}{reflection.terms} factors leave {of_what}; --terms is the dial")
                 if reflection is None and not of_filtered:
                     reflection = fixed_view(brdf, receivers, groups)
                 weight = [write_texture(self.folder, texture) for texture in component.weight]

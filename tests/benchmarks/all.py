@@ -14,6 +14,7 @@ PROGRAMS = (
     "reference_images",
     "terms_curve",
     "filtered_visibility",
+    "filtered_speed",
     "factor_error",
     "pictures_by_terms",
     "shadow_error",

@@ -110,13 +110,20 @@ def dial(report: Report, folder: pathlib.Path, coarser: int):
 
 
 def vertices(report: Report, folder: pathlib.Path, coarser: int):
-    """Vertex receivers against the reference image."""
-    options: dict[str, Any] = {"receivers": "vertices", "coefficients": 128}
-    made = render("bunny_lambert", folder, coarser, resolution=64 // coarser, **options)
-    errors = _errors(made.error(_reference("bunny_lambert", coarser)), 0.05)
-    row = ["bunny_lambert", 64 // coarser, *errors, *made.costs]
-    report.text("**Vertex receivers, N = 128, against `bunny_lambert_b0.exr`.**")
-    report.table(["scene", "resolution", *ERRORS, *COSTS], [row])
+    """Vertex receivers against the reference images: diffuse, and glossy by each way to reflect."""
+    options: dict[str, Any] = {"receivers": "vertices", "resolution": 64 // coarser}
+    ways = [("bunny_lambert", "–", {"coefficients": 128})]
+    ways += [("bunny_phong", way, {"reflection": way}) for way in ("filtered", "traced", "factors")]
+    rows = []
+    for scene, way, dials in ways:
+        made = render(scene, folder, coarser, **options, **dials)
+        target = None if way == "factors" else 0.05
+        rows.append([scene, way, *_errors(made.error(_reference(scene, coarser)), target), *made.costs])
+    report.text(
+        f"**Vertex receivers, from any view, against `*_b0.exr`**, resolution {64 // coarser}: bunny_lambert by 128 "
+        "coefficients, bunny_phong by filtered light times filtered or traced visibility, and by 4 factors."
+    )
+    report.table(["scene", "reflection", *ERRORS, *COSTS], rows)
 
 
 ERRORS = "trimmed", "untrimmed", "mean ratio", "target (trimmed)"

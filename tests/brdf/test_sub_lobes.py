@@ -7,8 +7,8 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxrelight.basis import cubemap
-from jaxrelight.brdf.lobes import lobe, lobe_sum, phong
-from jaxrelight.brdf.sub_lobes import PATTERNS, narrower_exponent, narrower_lobes, sub_lobes
+from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.sub_lobes import PATTERNS, narrower_exponent, narrower_lobes, narrowest, sub_lobes
 
 OMEGA, AREA = cubemap.directions(32), cubemap.solid_angles(32)
 PEAKS = np.array([[0, 0, 1], [0.48, 0.6, 0.64], [-0.8, 0.6, 0], [0.6, 0, -0.8]])
@@ -43,6 +43,8 @@ def test_wider_lobes_are_divided_into_more():
     # A faint wide lobe beside a strong sharp one does not count.
     both = lobe_sum(0.1, [lobe([-1, -1, 1], 1000, peak=50.0), lobe([-1, -1, 1], 3, peak=1e-6)])
     assert narrower_lobes(both, 0.01) == 1
+    assert narrowest(both) == pytest.approx(1 / 1001)
+    assert narrowest(lambert(0.5)) == 1
 
 
 @pytest.mark.parametrize("count", [7, 19])
