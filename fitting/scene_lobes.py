@@ -85,7 +85,7 @@ def _lobes(brdf: Brdf) -> tuple[LobeSum, str]:
         fit = fit_lafortune(brdf, _OPTIONS)
     account = (
         f"{_OPTIONS.lobes} fitted lobes stand for its BRDF; they are {fit.residual:.1%} off ({fit.held_out:.1%} where "
-        f"not fitted), {fit.verdict.name.lower().replace('_', ' ')}; --reflection factors does without"
+        f"not fitted), {fit.verdict.name.lower().replace('_', ' ')}"
     )
     _keep(path, fit.brdf, account)
     return fit.brdf, account

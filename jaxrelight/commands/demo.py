@@ -43,7 +43,7 @@ class Demo:
             if not 0.05 <= self.detail <= 8 or not 16 <= self.height <= 4096:
                 raise InputError("the demo's detail goes from 0.05 to 8, its height from 16 to 4,096")
             scene = demo_scene(self.detail, self.height)
-            method = Transport("vertices", resolution=32, terms=8, coefficients=256)
+            method = Transport("vertices", resolution=32, coefficients=256)
             with progress(self.json) as report:
                 relighter: Any = prepared(scene, method, self.output / "store", report, summary, seconds)
             sky: Any = scene.lights.environment

@@ -37,6 +37,7 @@ PROGRAMS = (
     "fit_measured",
     "fit_sbrdf",
     "measured_material",
+    "measured_vertices",
     "prefiltered",
     "sbrdf_frames",
     "sbrdf_sampling",
