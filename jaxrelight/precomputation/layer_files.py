@@ -141,7 +141,8 @@ def factors_of(
         write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
         return spatial_factors, path.name, left
     factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, resolution)
-    arrays, left = {"light_maps": factors.light_maps, "view_maps": factors.view_maps}, None
+    arrays: dict[str, Any] = {"light_maps": factors.light_maps, "view_maps": factors.view_maps}
+    left = None
     if not (isinstance(brdf, Separable) or brdf.is_constant):
         left = FactorResidual(0.0, factor_error(brdf, factors))
         arrays["left"] = np.array(dataclasses.astuple(left))

@@ -40,7 +40,8 @@ def main():
             "`fitting.with_lobes`; filtered is those lobes at vertices; factors are 4, at vertices, of the table. "
             f"Errors under {' / '.join(SKIES)}, trimmed, untrimmed ones in brackets."
         )
-        rows = [row(name, *given, side, resolution, pathlib.Path(folder)) for name, given in materials.items()]
+        place = pathlib.Path(folder)
+        rows = [row(name, file, target, side, resolution, place) for name, (file, target) in materials.items()]
         report.table(["material", "residual of the fit", "the fit", "filtered", "to be reached", "4 factors"], rows)
         report.speed()
 
