@@ -432,3 +432,28 @@ def test_demo(folder, run, monkeypatch, quick: bool):
     whole, trimmed = (summary["error"][name] for name in ("coefficients", "without_worst_5_percent"))
     assert 0 < trimmed < whole < (0.2 if quick else 0.1)
     assert {path.name.partition("-")[0] for path in (folder / "shown" / "store").glob("*-*")} == set(summary["bytes"])
+
+
+# Materials that have no lobes.
+
+
+@pytest.mark.parametrize(
+    ("dials", "is_fitted"),
+    [
+        (["--receivers", "vertices"], True),
+        (["--receivers", "vertices", "--reflection", "factors"], False),
+        (["--receivers", "pixels"], False),
+    ],
+)
+def test_lobes_are_fitted_where_lobes_are_filtered(folder, run, monkeypatch, dials, is_fitted: bool):
+    asked = []
+
+    def with_lobes(scene, report=None):
+        asked.append(scene)
+        return scene, ("gloss: told of its fit",)
+
+    monkeypatch.setattr("fitting.scene_lobes.with_lobes", with_lobes)
+    status, _, err = run("precompute", "scene.toml", "-o", "made", *DIALS, *dials)
+    assert status == 0
+    assert bool(asked) == is_fitted
+    assert ("note: gloss: told of its fit" in err) == is_fitted
