@@ -229,6 +229,9 @@ class Prefiltered(Method):
 
     shadows: bool = True
     """Let local lights cast shadows."""
+    occlusion_resolution: int = 8
+    """Side of the six faces of the cube map along whose texels every vertex looks for what hides the environment: soft
+    shadows after seconds; a power of two up to 64, or 0 for none."""
     texels: Literal["parameters", "reflectance"] = "parameters"
     """What is interpolated between the texels of an SBRDF: its 'parameters'; or the 'reflectance' of the four texels
     around, which is right between unlike texels and takes three to five times as long."""
@@ -246,12 +249,14 @@ class Prefiltered(Method):
         check_choice("texels", self.texels, ("parameters", "reflectance"))
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
         check_choice("horizon", self.horizon, ("cut", "outside"))
+        check_choice("occlusion resolution", self.occlusion_resolution, (0, 4, 8, 16, 32, 64))
         check_whole("map_rows", self.map_rows, 32, 4096)
         require(self.map_rows & (self.map_rows - 1) == 0, f"map rows are {self.map_rows}; they must be a power of two")
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
         """Shadows of the environment, and all bounces."""
-        return (*(["shadows of the environment"] if environment else []), _BETWEEN_SURFACES)
+        without_shadows = environment and not self.occlusion_resolution
+        return (*(["shadows of the environment"] if without_shadows else []), _BETWEEN_SURFACES)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,34 +1,39 @@
 """Lighting without transport: prefiltered environments, and local lights with shadow rays (McAllister 2002 §4, §6).
 
-Nothing is precomputed for a mesh, and every texel may have a BRDF of its own. What is left out: the environment casts
-no shadows, and surfaces do not light each other.
+Nothing is stored of a mesh, and every texel may have a BRDF of its own. The environment casts soft shadows, of what a
+few hundred rays from each vertex meet. What is left out: surfaces do not light each other.
 """
 
+import dataclasses
 import functools
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
+from jaxrelight.brdf.sub_lobes import PATTERNS, sub_lobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
-from jaxrelight.lighting.filtered_lobes import Horizon, lobe_radiance
+from jaxrelight.lighting.filtered_lobes import Horizon, LobeMean, lobe_radiance
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
-from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces, trace_view
+from jaxrelight.lighting.visible_surfaces import Corners, SurfaceMaterial, VisibleSurfaces, corners_of, trace_view
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.prefiltered import PrefilteredMaps, prefilter
 from jaxrelight.methods import Prefiltered
 from jaxrelight.numerics.arrays import on_host
 from jaxrelight.numerics.numbers import Number
+from jaxrelight.precomputation.vertex_occlusion import VertexOcclusion
+from jaxrelight.transport.filtered_visibility import FilteredVisibility
 from jaxrelight.transport.model import SceneGeometry
 
 
@@ -54,6 +59,7 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
     method: Prefiltered = eqx.field(static=True)
     camera: Camera = eqx.field(static=True)
     geometry: SceneGeometry = eqx.field(static=True)
+    occlusion: VertexOcclusion | None = None
 
     def scene_lights(self) -> Lights:
         """The scene's own lights."""
@@ -61,7 +67,13 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
 
     def view(self, camera: Camera | None = None) -> VisibleSurfaces:
         """What a camera sees; by default the scene's. Traces its rays on the host."""
-        return trace_view(self.geometry, camera or self.camera, self.materials)[0]
+        seen, gbuffer = trace_view(self.geometry, camera or self.camera, self.materials)
+        if self.occlusion is None:
+            return seen
+        vertices = np.where(gbuffer.back[:, None], self.geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
+        slots = self.occlusion.slots.of_vertex[vertices]
+        corners = corners_of(seen, gbuffer, slots, gbuffer.barycentric, [0] * len(seen.parts))
+        return dataclasses.replace(seen, corners=corners)
 
     def light(self, lights: LightsLike) -> PrefilteredLight:
         """Filters the environment for lobes of every exponent, and groups the local lights.
@@ -98,12 +110,19 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
         *,
         report: Report | None = None,
     ) -> Image:
-        """Radiance under the filtered environment, which casts no shadows, and under local lights."""
+        """Radiance under the filtered environment, with what hides it from vertices, and under local lights."""
         traced = self.trace(lit, view) if traced is None else traced
         method, sky, under = self.method, lit.environment, None
         if lit.maps is not None and sky is not None:
             under = shade_environment(
-                self.materials, view, lit.maps, sky.rotate_y, sky.scale, method.horizon, method.texels
+                self.materials,
+                view,
+                lit.maps,
+                sky.rotate_y,
+                sky.scale,
+                method.horizon,
+                method.texels,
+                None if self.occlusion is None else self.occlusion.visibility,
             )
         direct = shade_lights(self.materials, view, lit.groups, traced, method.texels)
         return image_of((under, direct, view.emission(self.materials)), view.covered)
@@ -123,8 +142,9 @@ def shade_environment(
     scale: float | Float[Array, ""] = 1.0,
     horizon: Horizon = "cut",
     texels: Texels = "parameters",
+    occlusion: FilteredVisibility | None = None,
 ) -> Float[Array, "h w 3"]:
-    """Radiance under a prefiltered environment, without shadows; differentiable in the maps and in BRDFs.
+    """Radiance under a prefiltered environment; differentiable in the maps and in BRDFs.
 
     Args:
         materials: sums of lobes, the same everywhere or for every texel.
@@ -134,19 +154,37 @@ def shade_environment(
         scale: factor on its radiance.
         horizon: see `Prefiltered`.
         texels: see `Prefiltered`.
+        occlusion: visibility of the vertices that are the surfaces' corners; None for no shadows.
     """
     rows = []
-    for part in surfaces.parts:
+    for number, part in enumerate(surfaces.parts):
         components = materials[part.material].components
-        rows.append(_under(components, part.pixels, maps, rotate_y, scale, horizon=horizon, texels=texels))
+        corners = None if occlusion is None else surfaces.corners[number]
+        dials = {"horizon": horizon, "texels": texels}
+        rows.append(_under(components, part.pixels, corners, occlusion, maps, rotate_y, scale, **dials))
     return surfaces.image(rows)
 
 
 @functools.partial(jax.jit, static_argnames=("horizon", "texels"))
-def _under(components, pixels: SurfacePixels, maps: PrefilteredMaps, rotate_y, scale, horizon: Horizon, texels: Texels):
-    def shade(frame, omega_o, uv, footprint):
+def _under(
+    components,
+    pixels: SurfacePixels,
+    corners: Corners | None,
+    occlusion: FilteredVisibility | None,
+    maps: PrefilteredMaps,
+    rotate_y,
+    scale,
+    horizon: Horizon,
+    texels: Texels,
+):
+    def shade(frame, omega_o, uv, footprint, corner):
+        def visibility(direction, exponent):
+            assert occlusion is not None
+            return occlusion.share(corner.receivers, corner.weights, direction, exponent)
+
         def reflected(lobes):
-            return prefiltered_radiance(lobes, omega_o, frame, maps, horizon, rotate_y)
+            seen = None if occlusion is None else visibility
+            return prefiltered_radiance(lobes, omega_o, frame, maps, horizon, rotate_y, seen)
 
         radiance = sum(
             at_texel(one.brdf, uv, footprint, texels, reflected) * look_up(one.weight, uv, footprint)
@@ -154,7 +192,7 @@ def _under(components, pixels: SurfacePixels, maps: PrefilteredMaps, rotate_y, s
         )
         return jnp.where(omega_o[2] > 0, radiance * scale, 0)
 
-    rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint
+    rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, corners
     return jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
 
 
@@ -165,14 +203,31 @@ def prefiltered_radiance(
     maps: PrefilteredMaps,
     horizon: Horizon = "cut",
     rotate_y: Number = 0.0,
+    visibility: LobeMean | None = None,
 ) -> Float[Array, " c"]:
-    """Radiance towards ω_o of one point under a prefiltered environment, without shadows (eq. 11, or better).
+    """Radiance towards ω_o of one point under a prefiltered environment (eq. 11, or better): ρ_d D(N), and its lobes.
 
-    ρ_d D(N) and what `lobe_radiance` adds.
+    With visibility, diffuse light is that of narrower lobes, each by the share of it that is visible; what they do not
+    make up of D(N) is visible as all of them are in the mean.
+
+    Args:
+        lobes: of the point.
+        omega_o: local direction to the eye.
+        frame: rows tangent, binormal, normal.
+        maps: of the environment.
+        horizon: see `Prefiltered.horizon`.
+        rotate_y: degrees that the environment is turned about +y.
+        visibility: the share of a lobe that is visible; None where nothing is hidden.
     """
 
     def light(direction, exponent):
         return maps.look_up(direction, exponent, rotate_y)
 
-    diffuse = lobes.diffuse * light(frame[2], jnp.asarray(1.0, frame.dtype))
-    return diffuse + lobe_radiance(lobes, omega_o, frame, light, horizon=horizon)
+    arriving = light(frame[2], jnp.asarray(1.0, frame.dtype))
+    if visibility is not None:
+        up, exponent = jnp.asarray([0.0, 0.0, 1.0], frame.dtype), jnp.asarray(1.0, frame.dtype)
+        parts = sub_lobes(up, exponent, max(PATTERNS))
+        pairs = parts.peaks @ frame, jnp.broadcast_to(parts.exponent, parts.shares.shape)
+        means, seen = jax.vmap(light)(*pairs), jax.vmap(visibility)(*pairs)
+        arriving = (parts.shares * seen) @ means + (parts.shares @ seen) * (arriving - parts.shares @ means)
+    return lobes.diffuse * arriving + lobe_radiance(lobes, omega_o, frame, light, visibility, horizon=horizon)

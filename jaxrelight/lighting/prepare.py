@@ -14,6 +14,7 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
+from jaxrelight.precomputation.vertex_occlusion import vertex_occlusion
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
@@ -63,7 +64,7 @@ def prepare_with_build(
             return relighter, build
         case Prefiltered():
             _refuse_store(method, store)
-            return _prepare_prefiltered(scene, method), None
+            return _prepare_prefiltered(scene, method, report), None
         case Adaptive():
             _refuse_store(method, store)
             return _prepare_adaptive(scene, method, report), None
@@ -95,14 +96,17 @@ def _refuse_store(method: Method, store: str | pathlib.Path | None):
         raise InputError(f"{type(method).__name__} precomputes nothing, so it has no store; leave it out")
 
 
-def _prepare_prefiltered(scene: Scene, method: Prefiltered) -> PrefilteredRelighter:
-    materials = _materials(scene, method.minification)
+def _prepare_prefiltered(scene: Scene, method: Prefiltered, report: Report | None) -> PrefilteredRelighter:
+    materials, geometry, occlusion = _materials(scene, method.minification), _geometry(scene), None
+    if method.occlusion_resolution:
+        occlusion = vertex_occlusion(geometry.surfaces, geometry.tracer, method.occlusion_resolution, report)
     return PrefilteredRelighter(
         materials=materials,
         own_lights=scene.lights,
         method=method,
         camera=scene.camera,
-        geometry=_geometry(scene),
+        geometry=geometry,
+        occlusion=occlusion,
     )
 
 

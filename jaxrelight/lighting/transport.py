@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.cubemap import Texels
@@ -25,13 +25,15 @@ from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
 from jaxrelight.lighting.lobe_rays import traced_shares
-from jaxrelight.lighting.pixels import SurfacePixels, padded
+from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.visible_surfaces import (
+    Corners,
     SurfaceMaterial,
     SurfacePart,
     VisibleSurfaces,
+    corners_of,
     emitted,
     surface_component,
     trace_view,
@@ -51,18 +53,6 @@ from jaxrelight.transport.model import Block, FilteredLobes, PrecomputedTranspor
 
 # Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
 LightTerms = tuple[Float[Array, "*n _ _ _"], ...]
-
-
-class Corners(eqx.Module):
-    """The receivers between which each pixel of a part lies.
-
-    Attributes:
-        receivers: numbers among the material's receivers: one, or the three corners of the face seen.
-        weights: theirs.
-    """
-
-    receivers: Int[Array, "p b"]
-    weights: Float[Array, "p b"]
 
 
 class TransportView(eqx.Module):
@@ -384,17 +374,8 @@ def _traced_view(
     slots = receivers.slot_of[corners] if vertices else receivers.slot_of[:, None]
     weights = gbuffer.barycentric if vertices else np.ones((len(slots), 1))
     first = {part.material: part.first_group * GROUP for part in (*transport.blocks, *transport.lobes)}
-    number_of_pixel = np.cumsum(gbuffer.covered.ravel()) - 1
-    part_corners = []
-    for part in surfaces.parts:
-        pixel = np.asarray(part.pixels.pixel)
-        pixel_numbers = number_of_pixel[pixel[pixel < gbuffer.covered.size]]
-        own = slots[pixel_numbers] - first[materials[part.material].name]
-        every = np.arange(len(pixel_numbers))
-        part_corners.append(
-            Corners(jax.device_put(padded(own, every)), jax.device_put(padded(weights[pixel_numbers], every)))
-        )
-    return surfaces, tuple(part_corners)
+    starts = [first[materials[part.material].name] for part in surfaces.parts]
+    return surfaces, corners_of(surfaces, gbuffer, slots, weights, starts)
 
 
 @jax.jit

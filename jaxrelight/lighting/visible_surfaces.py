@@ -91,6 +91,18 @@ class SurfacePart(eqx.Module):
         return jax.lax.dynamic_slice_in_dim(points.positions, self.start, len(self.pixels.pixel))
 
 
+class Corners(eqx.Module):
+    """The receivers between which each pixel of a part lies.
+
+    Attributes:
+        receivers: numbers among the material's receivers: one, or the three corners of the face seen.
+        weights: theirs.
+    """
+
+    receivers: Int[Array, "p b"]
+    weights: Float[Array, "p b"]
+
+
 class VisibleSurfaces(eqx.Module):
     """What a camera sees, ready to be lit again and again.
 
@@ -101,6 +113,7 @@ class VisibleSurfaces(eqx.Module):
         covered: which pixels show a surface.
         u: where each pixel's direction lies in a lat-long map, rightwards 0 … 1.
         v: the same, downwards.
+        corners: the vertices of each part's pixels, where a method asks for them.
     """
 
     parts: tuple[SurfacePart, ...]
@@ -109,6 +122,7 @@ class VisibleSurfaces(eqx.Module):
     covered: Bool[Array, "h w"]
     u: Float[Array, "h w"]
     v: Float[Array, "h w"]
+    corners: tuple[Corners, ...] = ()
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -201,6 +215,32 @@ def trace_view(
     u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
     place = places([part.pixels for part in parts], gbuffer.covered.size)
     return VisibleSurfaces(tuple(parts), points, place, covered, u, v), gbuffer
+
+
+def corners_of(
+    surfaces: VisibleSurfaces,
+    gbuffer: GBuffer,
+    slots: Int[np.ndarray, "n b"],
+    weights: Float[np.ndarray, "n b"],
+    starts: Sequence[int],
+) -> tuple[Corners, ...]:
+    """The receivers between which the pixels of each part lie.
+
+    Args:
+        surfaces: what a camera sees.
+        gbuffer: of it.
+        slots: of covered pixels, numbers among all receivers.
+        weights: theirs.
+        starts: of each part, the first of the receivers that its numbers count from.
+    """
+    number_of_pixel = np.cumsum(gbuffer.covered.ravel()) - 1
+    corners = []
+    for part, start in zip(surfaces.parts, starts, strict=True):
+        pixel = np.asarray(part.pixels.pixel)
+        numbers = number_of_pixel[pixel[pixel < gbuffer.covered.size]]
+        own, every = slots[numbers] - start, np.arange(len(numbers))
+        corners.append(Corners(jax.device_put(padded(own, every)), jax.device_put(padded(weights[numbers], every))))
+    return tuple(corners)
 
 
 def with_samples(camera: Camera, along: int) -> Camera:

@@ -48,7 +48,7 @@ def visibility_distances(
         cells: of the grid; see `basis.cube_grid`.
     """
     side = round((len(directions.vectors) // 6) ** 0.5)
-    pool = _POOLED if side % _POOLED == 0 else 1
+    pool = _POOLED if side >= 16 * _POOLED else 1
 
     def in_squares(values):
         return values.reshape(-1, 6, side // pool, pool, side // pool, pool)

@@ -53,7 +53,7 @@ def measure(report: Report, side: int, size: int, picture: pathlib.Path | None):
     scene = cow(levels, size)
 
     def see():
-        relighter = prepare(scene, Prefiltered())
+        relighter = prepare(scene, Prefiltered(occlusion_resolution=0))
         return relighter, relighter.view()
 
     relighter, view = timed("what the camera sees", see)

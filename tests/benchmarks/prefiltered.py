@@ -163,7 +163,7 @@ def sampling(report: Report, skies: dict, made: dict, size: tuple[int, int]):
     from jaxrelight.methods import Prefiltered
 
     scene = load_scene(shared("reference", "spot_lafortune.toml"))
-    relighter = prepare(scene, Prefiltered())
+    relighter = prepare(scene, Prefiltered(occlusion_resolution=0))
     assert isinstance(relighter, PrefilteredRelighter)
     view = relighter.view(dataclasses.replace(scene.camera, width=size[0], height=size[1]))
     names = [material.name for material in relighter.materials]

@@ -96,7 +96,7 @@ def frame_of(scene, brdf, minification: Minification = "none") -> Frame:
 
     material = brdf if isinstance(brdf, Material) else Material((Component(brdf),))
     scene = dataclasses.replace(scene, materials={"skin": material})
-    relighter = prepare(scene, Prefiltered(shadows=False, minification=minification))
+    relighter = prepare(scene, Prefiltered(shadows=False, minification=minification, occlusion_resolution=0))
     assert isinstance(relighter, PrefilteredRelighter)
     return Frame(relighter, relighter.view())
 

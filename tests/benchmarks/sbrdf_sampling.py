@@ -105,7 +105,7 @@ def card(levels, size: int, across: float, many: int, minification: Minification
     mesh = dataclasses.replace(mesh, uv=mesh.uv * (8 * across / pixel / levels[0].lobes.shape[0]))
     camera = Camera(EYE, (0.0, 0.0, 0.0), fov_y=fov, width=size * many, height=size * many)
     scene = Scene([Part(mesh, "card")], {"card": spatial(levels)}, camera)
-    relighter = prepare(scene, Prefiltered(minification=minification))
+    relighter = prepare(scene, Prefiltered(minification=minification, occlusion_resolution=0))
     assert isinstance(relighter, PrefilteredRelighter)
     return Frame(relighter, relighter.view())
 

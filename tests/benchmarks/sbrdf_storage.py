@@ -147,7 +147,7 @@ def pictures(level: SbrdfLevel, size: int, sky) -> list[np.ndarray]:
     from tests.benchmarks.composed_cow import cow
 
     scene = cow([level], size)
-    relighter = prepare(dataclasses.replace(scene, parts=scene.parts[:1]), Prefiltered())
+    relighter = prepare(dataclasses.replace(scene, parts=scene.parts[:1]), Prefiltered(occlusion_resolution=0))
     assert isinstance(relighter, PrefilteredRelighter)
     view = relighter.view()
     lit = relighter.shade(relighter.light(scene.lights), view).radiance

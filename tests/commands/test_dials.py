@@ -51,6 +51,7 @@ SET: dict[str, dict[str, tuple[str, object]]] = {
         "shadows": ("--no-shadows", False),
         "texels": ("--texels reflectance", "reflectance"),
         "minification": ("--minification averaged", "averaged"),
+        "occlusion_resolution": ("--occlusion-resolution 16", 16),
         "horizon": ("--horizon outside", "outside"),
         "map_rows": ("--map-rows 64", 64),
     },

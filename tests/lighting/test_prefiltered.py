@@ -78,7 +78,7 @@ class Seen(NamedTuple):
 
 
 def prepared(scene: Scene, **dials) -> PrefilteredRelighter:
-    relighter = prepare(scene, Prefiltered(map_rows=32, **dials))
+    relighter = prepare(scene, Prefiltered(**{"map_rows": 32, "occlusion_resolution": 0} | dials))
     assert isinstance(relighter, PrefilteredRelighter)
     return relighter
 

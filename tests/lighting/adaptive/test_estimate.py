@@ -56,7 +56,7 @@ class View(NamedTuple):
 def seen_of(part: Part) -> SurfacePixels:
     """The pixels that see it."""
     scene = Scene([part], {"skin": lambert(0.5)}, CAMERA)
-    return prepare(scene, Prefiltered()).view().parts[0].pixels
+    return prepare(scene, Prefiltered(occlusion_resolution=0)).view().parts[0].pixels
 
 
 @functools.cache

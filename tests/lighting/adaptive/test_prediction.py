@@ -21,7 +21,7 @@ ROWS = 128
 @functools.cache
 def pixels() -> SurfacePixels:
     scene = Scene([Part(sphere(1, 48), "skin")], {"skin": lambert(0.5)}, CAMERA, name="ball")
-    return prepare(scene, Prefiltered()).view().parts[0].pixels
+    return prepare(scene, Prefiltered(occlusion_resolution=0)).view().parts[0].pixels
 
 
 @functools.cache

@@ -1,0 +1,64 @@
+"""What hides the environment under prefiltered lighting: against exact transport, and where nothing hides it."""
+
+import dataclasses
+import pathlib
+
+import jax
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight import Scene
+from jaxrelight.images import image_error
+from tests.scenes import ball_over_floor
+
+CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.2, 0), fov_y=45, width=32, height=24)
+
+
+def sky() -> jr.Environment:
+    """Brighter to one side, and smooth."""
+    longitude = (np.arange(32) + 0.5) * (2 * np.pi / 32)
+    rows = np.linspace(1, 0.3, 16)[:, None] * (1.2 + np.cos(longitude - 1))[None]
+    return jr.environment((rows[..., None] * [1, 0.9, 0.8]).astype(np.float32))
+
+
+def scene(gloss) -> Scene:
+    return ball_over_floor(gloss, CAMERA, sky(), quads=(12, 8), height=0.36)
+
+
+def picture(of: Scene, resolution: int) -> np.ndarray:
+    return jr.prepare(of, jr.Prefiltered(map_rows=64, occlusion_resolution=resolution)).picture(background=False)
+
+
+@pytest.mark.parametrize("gloss", [jr.lambert([0.7, 0.5, 0.3]), jr.phong(0.2, 0.5, 40)], ids=["lambert", "phong"])
+def test_shadows_are_near_exact_transport(gloss, tmp_path: pathlib.Path):
+    pixels = jr.Transport("pixels", resolution=16, coefficients="all")
+    exact = jr.prepare(scene(gloss), pixels, tmp_path).picture(background=False)
+    without, coarse = (image_error(picture(scene(gloss), resolution), exact) for resolution in (0, 8))
+    assert coarse.trimmed < 0.05
+    assert coarse.trimmed < 0.5 * without.trimmed
+
+
+def test_where_nothing_hides_it_nothing_changes():
+    ball = Scene([jr.Part(jr.sphere(0.5, 8), "gloss")], {"gloss": jr.phong(0.3, 0.4, 30)}, CAMERA, sky())
+    np.testing.assert_allclose(picture(ball, 8), picture(ball, 0), rtol=5e-3, atol=1e-3)
+
+
+def test_it_is_reported_in_vertices_and_is_an_argument_of_jitted_functions():
+    told = []
+    relighter = jr.prepare(
+        scene(jr.phong(0.2, 0.5, 40)), jr.Prefiltered(map_rows=64), report=lambda *of: told.append(of)
+    )
+    assert {stage for stage, _, _ in told} == {"occlusion"}
+    assert told[-1][1] == told[-1][2] == sum(len(part.mesh.vertices) for part in scene(jr.lambert(0)).parts)
+    view, lit = relighter.view(), relighter.light(sky())
+    traced = relighter.trace(lit, view)
+    shaded = jax.jit(lambda relighter, lit, view: relighter.shade(lit, view, traced).radiance)(relighter, lit, view)
+    np.testing.assert_allclose(shaded, relighter.shade(lit, view, traced).radiance, rtol=1e-4, atol=1e-5)
+
+    def total(scale):
+        light = dataclasses.replace(sky(), scale=scale)
+        return relighter.shade(relighter.light(light), view, traced).radiance.sum()
+
+    value, slope = jax.value_and_grad(total)(2.0)
+    np.testing.assert_allclose(2 * slope, value, rtol=1e-4)
