@@ -16,6 +16,7 @@ from jaxrelight.lighting.contract import Image, Relighter
 from jaxrelight.lighting.prepare import prepare_with_build
 from jaxrelight.lights.lights import Lights
 from jaxrelight.methods import Method, Prefiltered, Transport
+from jaxrelight.precomputation.precompute import check_scene
 from jaxrelight.progress import Report, notes
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
@@ -40,6 +41,8 @@ def prepared(
     ):
         from fitting.scene_lobes import with_lobes
 
+        if isinstance(method, Transport):
+            check_scene(scene, method)
         with timed(fits := {}, "fit"):
             scene, lines = with_lobes(scene, report)
         if lines:

@@ -68,13 +68,9 @@ def precompute(
         InputError: for a scene that transport cannot be precomputed of; with bounces, where a material reflects all
             light or more.
     """
-    scene.check_materials()
+    check_scene(scene, method)
     if isinstance(method, Indirect):
         return _finished(make_indirect(scene, method, folder, report, seconds := {}), seconds, [])
-    # Bounces pass through vertices, whatever the receivers are.
-    checked = _of_pass(method, 0) if method.bounces else method
-    for part in scene.parts:
-        check_terms_of(scene, part.material, checked)
     albedo = _largest_albedo(scene) if method.bounces else 0.0
     seconds: dict[str, float] = {}
     passes, left = [], 1.0
@@ -96,6 +92,20 @@ def precompute(
             f"{bounces} of {method.bounces} bounces were made: the others would add {left:.1%} of light at most"
         )
     return _finished(built, seconds, passes, notes)
+
+
+def check_scene(scene: Scene, method: Transport | Indirect) -> None:
+    """Refuses, before long work, materials that cannot be put on a scene, and factors that cannot be had of them.
+
+    Raises:
+        InputError: for the first of them.
+    """
+    scene.check_materials()
+    if isinstance(method, Transport):
+        # Bounces pass through vertices, whatever the receivers are.
+        checked = _of_pass(method, 0) if method.bounces else method
+        for part in scene.parts:
+            check_terms_of(scene, part.material, checked)
 
 
 def _finished(
