@@ -78,7 +78,8 @@ class Seen(NamedTuple):
 
 
 def prepared(scene: Scene, **dials) -> PrefilteredRelighter:
-    relighter = prepare(scene, Prefiltered(**{"map_rows": 32, "occlusion_resolution": 0} | dials))
+    given: dict[str, Any] = {"map_rows": 32, "occlusion_resolution": 0} | dials
+    relighter = prepare(scene, Prefiltered(**given))
     assert isinstance(relighter, PrefilteredRelighter)
     return relighter
 
