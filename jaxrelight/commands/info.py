@@ -59,7 +59,7 @@ def _store(path: pathlib.Path) -> dict:
         "store": str(path),
         "scene": header["scene"],
         "receivers": transport.receivers.count,
-        "rows": transport.operator.shape[0],
+        "rows": transport.row_count,
         "materials": dict(terms),
         "filtered_lobes": {lobes.material: lobes.narrower for lobes in transport.lobes},
         "bytes": {folder.name: store.bytes_on_disk(folder) for folder in layers},

@@ -137,6 +137,6 @@ def _describe_plan(plan: Any, view: Any, maps: pathlib.Path | None) -> dict:
 def describe(relighter: Relighter) -> dict:
     """What lights, as a part of a summary."""
     transport = getattr(relighter, "transport", None)
-    sizes = {} if transport is None else {"operator_bytes": transport.operator.nbytes, "kept_energy": transport.kept}
+    sizes = {} if transport is None else {"operator_bytes": transport.nbytes, "kept_energy": transport.kept}
     method = relighter.method
     return {"lighting": method.name, **sizes, "settings": dataclasses.asdict(method), "versions": versions()}

@@ -144,6 +144,10 @@ class PlacedScene:
                     f"{name}: lobes that are narrower than the cube map's texels reflect filtered light times filtered "
                     "visibility; --resolution has finer ones"
                 )
+            elif filtered and name in self.scene.terms and not self.method.bounces:
+                notes.append(
+                    f"{name}: 'terms' are not used, since its lobes are filtered; reflection 'factors' has terms"
+                )
             for component in material.components:
                 brdf = component.brdf
                 described = to_record(brdf, functools.partial(write_table, self.folder))
@@ -156,7 +160,7 @@ class PlacedScene:
                     shapes = f"shapes that stand for all texels are {left.shapes:.1%} off, and " if left.shapes else ""
                     of_what = f"{left.terms:.0%} of {'them' if left.shapes else 'its BRDF'}"
                     notes.append(f"{name}: {shapes}{reflection.terms} factors leave {of_what}; --terms is the dial")
-                if reflection is None and not of_filtered:
+                if reflection is None and (self.method.bounces or not of_filtered):
                     reflection = fixed_view(brdf, receivers, groups)
                 weight = [write_texture(self.folder, texture) for texture in component.weight]
                 record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}

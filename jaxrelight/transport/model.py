@@ -204,8 +204,19 @@ class PrecomputedTransport(eqx.Module):
 
     @property
     def operator(self) -> Stacked:
-        """From light to the light terms of all blocks."""
+        """From light to the light terms of all blocks, of which there is one at least."""
         return Stacked(tuple(block.operator for block in self.blocks))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are held: of all rows, and of filtered visibility, which the lobes of a material share."""
+        visibility = {lobes.material: lobes.visibility.nbytes for lobes in self.lobes if lobes.visibility is not None}
+        return sum(block.operator.nbytes for block in self.blocks) + sum(visibility.values())
+
+    @property
+    def row_count(self) -> int:
+        """Rows of all operators; 0 where all light is of filtered lobes."""
+        return sum(block.operator.shape[0] for block in self.blocks)
 
     @property
     def geometry(self) -> SceneGeometry:

@@ -434,7 +434,24 @@ def test_demo(folder, run, monkeypatch, quick: bool):
     assert {path.name.partition("-")[0] for path in (folder / "shown" / "store").glob("*-*")} == set(summary["bytes"])
 
 
-# Materials that have no lobes.
+# Materials of lobes alone, and without any.
+
+
+def test_a_scene_of_lobes_alone_has_no_rows(folder, run):
+    """A tidy picture and summary all the same; and its terms are not used."""
+    scene = SCENE.replace("diffuse = 0.1", "diffuse = 0.0\nterms = 2").replace(
+        'material = "paper"', 'material = "gloss"'
+    )
+    (folder / "scene.toml").write_text(scene)
+    dials = "--receivers", "vertices", *DIALS
+    status, out, err = run("render", "scene.toml", "-o", "a.exr", "--store", "made", *dials, "--json")
+    assert status == 0
+    assert "gloss: 'terms' are not used, since its lobes are filtered" in err
+    assert read_image("a.exr")[..., :3].max() > 0
+    summary = summary_of(run("info", "made", "--json"))
+    assert (summary["rows"], summary["materials"]) == (0, {})
+    assert summary["operator_bytes"] == json.loads(out)["operator_bytes"] > 0
+    assert run("relight", "made", "-o", "b.exr", "--rotate-y", "40")[0] == 0
 
 
 @pytest.mark.parametrize(
