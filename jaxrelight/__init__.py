@@ -6,8 +6,8 @@ The public names, each loaded when it is first used:
     meshes      normalized, transformed, with_back, subdivided
     lights      Lights, Environment, environment, load_environment, load_lights, point, spot, directional, area,
                 projector, shaped, sky_of, even_sky, Light, Punctual, Incident
-    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor, Brdf, LobeSum, Material,
-                Component, Texture, constant, textured_lambert, textured_phong
+    materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor, Factoring, Brdf, LobeSum,
+                Material, Component, Texture, constant, textured_lambert, textured_phong
     methods     Transport, Indirect, Prefiltered, Adaptive
     lighting    prepare, open_store, Relighter, Image, LightLayers
     operators   Operator, Dense, SparseRows, Clustered, Stacked, as_lineax, sharded
@@ -40,6 +40,7 @@ _HOMES = {
     "brdf.ashikhmin_shirley": ("ashikhmin_shirley",),
     "brdf.files": ("load_brdf",),
     "brdf.factors": ("factor",),
+    "brdf.factoring": ("Factoring",),
     "brdf.material": ("Material", "Component", "textured_lambert", "textured_phong"),
     "brdf.texture": ("Texture", "constant"),
     "methods": ("Transport", "Indirect", "Prefiltered", "Adaptive"),

@@ -254,7 +254,7 @@ class Prefiltered(Method):
         require(self.map_rows & (self.map_rows - 1) == 0, f"map rows are {self.map_rows}; they must be a power of two")
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
-        """Shadows of the environment, and all bounces."""
+        """Shadows of the environment where no ray looks for them, and all bounces."""
         without_shadows = environment and not self.occlusion_resolution
         return (*(["shadows of the environment"] if without_shadows else []), _BETWEEN_SURFACES)
 

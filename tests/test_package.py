@@ -50,6 +50,7 @@ PUBLIC = {
     "Component",
     "Dense",
     "Environment",
+    "Factoring",
     "Image",
     "Incident",
     "Indirect",

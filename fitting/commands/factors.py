@@ -32,6 +32,8 @@ class Factors:
     """Take as few terms as leave no more than this share of any channel, 0 to 1."""
     form: Literal["svd", "symmetric", "nonnegative", "normalised"] = "svd"
     """The products of least error; reciprocal ones; ones that are nowhere negative; or a single such one."""
+    parametrisation: Literal["disc", "polar"] = "disc"
+    """Of the maps: equal projected solid angles (eq. 10), or angles around the normal and from it (eq. 11)."""
     resolution: int = 48
     """Side of the maps."""
     refine: bool = False
@@ -54,6 +56,7 @@ class Factors:
         from jaxrelight.brdf.factors import check_terms, factor
         from jaxrelight.brdf.files import load_brdf
         from jaxrelight.brdf.files.fitted import write_factors
+        from jaxrelight.brdf.parametrisation import PARAMETRISATIONS
         from jaxrelight.brdf.separable import separable
         from jaxrelight.command_line import versions
         from jaxrelight.commands.summary import summarize
@@ -66,7 +69,8 @@ class Factors:
             raise InputError(f"--refine is for the form svd, not for {self.form}; leave one of them out")
         if self.resolution < 2:
             raise InputError(f"--resolution must be at least 2, not {self.resolution}")
-        check_terms(self.terms, self.resolution)
+        parametrisation = PARAMETRISATIONS[self.parametrisation]
+        check_terms(self.terms, self.resolution, parametrisation)
         if self.report is not None:
             check_report(self.report)
         with timed(seconds, "load"):
@@ -76,7 +80,14 @@ class Factors:
         change = None
         with timed(seconds, "fit"), progress(self.json) as report:
             report("factors", 0, steps)
-            factors = factor(measured.brdf, self.terms, self.resolution, form=self.form, error=self.error)
+            factors = factor(
+                measured.brdf,
+                self.terms,
+                self.resolution,
+                form=self.form,
+                parametrisation=parametrisation,
+                error=self.error,
+            )
             report("factors", 1, steps)
             if self.refine:
                 assert isinstance(factors, Factored)
@@ -97,6 +108,7 @@ class Factors:
             "format": measured.kind,
             "output": str(self.output),
             "form": self.form,
+            "parametrisation": self.parametrisation,
             "terms": brdf.light_maps.shape[0],
             "resolution": brdf.light_maps.shape[-1],
             "bytes": brdf.light_maps.nbytes + brdf.view_maps.nbytes,

@@ -75,6 +75,10 @@ class Symmetric(Reflection):
         """sign_k · q_k(ω_o)."""
         return self.signs * look_up(self.parametrisation, self.maps, omega_o)
 
+    def as_factored(self) -> Factored:
+        """The same with maps of either side, the signs in those of the view."""
+        return Factored(self.maps, self.signs[..., None, None] * self.maps, self.parametrisation)
+
     @property
     def per_receiver(self) -> PyTree[bool]:
         """All receivers share the maps."""

@@ -105,6 +105,13 @@ class Polar(Parametrisation):
 
 
 DISC, POLAR = Disc(), Polar()
+# By the names that files call them.
+PARAMETRISATIONS: dict[str, Parametrisation] = {"disc": DISC, "polar": POLAR}
+
+
+def name_of(parametrisation: Parametrisation) -> str:
+    """What files call a parametrisation."""
+    return next(name for name, one in PARAMETRISATIONS.items() if type(one) is type(parametrisation))
 
 
 def look_up(

@@ -15,6 +15,7 @@ from jaxrelight.brdf.adaptive import Adaptive
 from jaxrelight.brdf.ashikhmin_shirley import AshikhminShirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.parametrisation import PARAMETRISATIONS, name_of
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.tabulated import Tabulated
@@ -51,10 +52,14 @@ def to_record(brdf: Brdf | SpatialLobes, keep: Callable[[np.ndarray], str], what
         fields, arrays = to_fields(brdf, what)
         entries = {name: entry(array) for name, array in arrays.items()}
         return {"kind": qualified_name(kind), "arrays": entries, "fields": fields}
-    values = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf) if field.name != "coarser"}
+    others = ("coarser", "parametrisation")
+    values = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf) if field.name not in others}
     coarser = [to_record(level, keep) for level in getattr(brdf, "coarser", ())]
     entries = {name: entry(np.asarray(array)) for name, array in values.items() if array is not None}
-    return {"kind": kind.__name__, "arrays": entries} | ({"coarser": coarser} if coarser else {})
+    record = {"kind": kind.__name__, "arrays": entries} | ({"coarser": coarser} if coarser else {})
+    if isinstance(brdf, Separable):
+        record["parametrisation"] = name_of(brdf.parametrisation)
+    return record
 
 
 def from_record(
@@ -86,4 +91,6 @@ def from_record(
     arrays: dict[str, Any] = {name: as_array(array(name)) for name in record["arrays"]}
     if "coarser" in record:
         arrays["coarser"] = tuple(from_record(level, kept, dtype) for level in record["coarser"])
+    if "parametrisation" in record:
+        arrays["parametrisation"] = PARAMETRISATIONS[record["parametrisation"]]
     return _KINDS[record["kind"]](**arrays)

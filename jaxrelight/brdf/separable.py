@@ -6,21 +6,23 @@ from jaxtyping import Array, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored, Symmetric
+from jaxrelight.brdf.parametrisation import DISC, Parametrisation
 
 
 class Separable(Brdf):
-    """f(ω_i, ω_o) = Σ_k g_k(ω_i) · h_k(ω_o) (Wang 2006 eq. 1), with maps over the disc (eq. 10).
+    """f(ω_i, ω_o) = Σ_k g_k(ω_i) · h_k(ω_o) (Wang 2006 eq. 1), with maps over the disc (eq. 10) or polar ones (eq. 11).
 
     Between texels, and where g and h have both signs, the sum may be a little negative.
     """
 
     light_maps: Float[Array, "k c1 r r"]
     view_maps: Float[Array, "k c r r"]
+    parametrisation: Parametrisation = DISC
 
     @property
     def factors(self) -> Factored:
         """The same, as baking and viewing take it."""
-        return Factored(self.light_maps, self.view_maps)
+        return Factored(self.light_maps, self.view_maps, self.parametrisation)
 
     @jax.jit
     def evaluate(self, omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> Float[Array, " c"]:
@@ -39,7 +41,6 @@ class Separable(Brdf):
 
 
 def separable(factors: Factored | Symmetric) -> Separable:
-    """The BRDF that factors on the disc make; the signs of symmetric ones go to the view maps."""
-    if isinstance(factors, Symmetric):
-        return Separable(factors.maps, factors.signs[..., None, None] * factors.maps)
-    return Separable(factors.light_maps, factors.view_maps)
+    """The BRDF that factors make; the signs of symmetric ones go to the view maps."""
+    factors = factors.as_factored() if isinstance(factors, Symmetric) else factors
+    return Separable(factors.light_maps, factors.view_maps, factors.parametrisation)

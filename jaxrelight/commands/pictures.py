@@ -23,6 +23,8 @@ from jaxrelight.timing import timed
 
 # Stages that trace rays: all of their time under an environment, with gathering where light is local.
 _TRACING = "visibility", "between", "pixels"
+# The least share of negative radiance that is told.
+_TOLD_NEGATIVE = 0.001
 
 
 def check_output(output: pathlib.Path, layers: bool) -> None:
@@ -102,6 +104,14 @@ def make_picture(
             write_image(command.output, rgba, command.picture.exposure)
     left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
     notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
+    negative = image.negative_share
+    if negative >= _TOLD_NEGATIVE:
+        notes(
+            [
+                f"{negative:.1%} of what is seen has negative radiance, which shows black: factors and coefficients "
+                "that are left out leave it; more of them, or another form of factors, leave less"
+            ]
+        )
     shown = rgba[..., 3] > 0
     plan = image.measured.get("plan")
     return {
@@ -110,6 +120,7 @@ def make_picture(
         "height": rgba.shape[0],
         "covered": float(rgba[..., 3].mean()),
         "mean_radiance": float(rgba[shown][:, :3].mean()) if shown.any() else 0.0,
+        "negative": negative,
         "lights": len(lights.local),
         "leaves_out": list(left_out),
         **({} if plan is None else _describe_plan(plan, view, command.maps)),

@@ -8,7 +8,17 @@ import textwrap
 import time
 from collections.abc import Iterator
 
-_SHARES = {"kept_energy", "albedo_at_degrees", "covered", "error", "residual", "held_out", "by_angle", "refined"}
+_SHARES = {
+    "kept_energy",
+    "albedo_at_degrees",
+    "covered",
+    "negative",
+    "error",
+    "residual",
+    "held_out",
+    "by_angle",
+    "refined",
+}
 
 
 @contextlib.contextmanager

@@ -33,6 +33,16 @@ class Image(eqx.Module):
     layers: dict[str, Float[Array, "h w 3"]] = eqx.field(default_factory=dict)
     measured: dict[str, Any] = eqx.field(default_factory=dict)
 
+    @property
+    def negative_share(self) -> float:
+        """The share of what shows a surface whose radiance is negative in a channel, by more than rounding.
+
+        Factors and coefficients that are left out may leave some; a hundredth of the mean radiance is not counted.
+        """
+        shown = np.asarray(self.alpha) > 0
+        radiance = np.asarray(self.radiance)[shown]
+        return float(np.mean(radiance.min(axis=1) < -0.01 * np.abs(radiance).mean())) if shown.any() else 0.0
+
     def rgba(self, background: Float[Array, "h w 3"] | None = None) -> Float[np.ndarray, "h w 4"]:
         """The picture as an array of the host, with what lies behind it where that is given.
 

@@ -11,7 +11,9 @@ import numpy as np
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
-from jaxrelight.brdf.factors import COSINE, factor, factor_error
+from jaxrelight.brdf.factoring import Factoring
+from jaxrelight.brdf.factors import COSINE, factor_error
+from jaxrelight.brdf.parametrisation import POLAR
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import FactorResidual, SpatialFactors, factor_spatial
@@ -110,7 +112,7 @@ def write_table(folder: pathlib.Path, values: np.ndarray) -> str:
 
 
 def factors_of(
-    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, terms: int, method: Transport | Indirect
+    folder: pathlib.Path, brdf: Brdf | SpatialLobes, described: dict, asked: Factoring, method: Transport | Indirect
 ) -> tuple[Factored | SpatialFactors | None, str | None, FactorResidual | None]:
     """Factors, from their layer if it exists, its name, and what they leave out.
 
@@ -118,8 +120,12 @@ def factors_of(
     """
     if method.receivers == "pixels" and not brdf.is_constant:
         return None, None, None
-    resolution = method.factor_resolution if isinstance(method, Transport) else Transport.factor_resolution
-    dials = () if isinstance(brdf, Separable) else (terms, resolution, *COSINE, "left")
+    terms, resolution = 1, Transport.factor_resolution
+    if isinstance(method, Transport):
+        terms, resolution = method.terms, method.factor_resolution
+    else:
+        asked = Factoring()
+    dials = () if isinstance(brdf, Separable) else (terms, resolution, *COSINE, "left", dataclasses.asdict(asked))
     key = store.key_of(described, *dials)
     path = folder / f"factors-{key}"
     spatial = isinstance(brdf, SpatialLobes)
@@ -131,7 +137,7 @@ def factors_of(
         return read_factors(layer), path.name, left
     # The layer is missing or damaged.
     if spatial:
-        spatial_factors, left = factor_spatial(brdf, terms, resolution)
+        spatial_factors, left = factor_spatial(brdf, asked.most_terms(terms, resolution), resolution)
         arrays = {
             "light_maps": spatial_factors.light_maps,
             "view_maps": spatial_factors.view_maps,
@@ -140,8 +146,9 @@ def factors_of(
         numbers = {"left": np.array(dataclasses.astuple(left))}
         write_once(path, {name: np.asarray(array) for name, array in (arrays | numbers).items()})
         return spatial_factors, path.name, left
-    factors = brdf.factors if isinstance(brdf, Separable) else factor(brdf, terms, resolution)
-    arrays: dict[str, Any] = {"light_maps": factors.light_maps, "view_maps": factors.view_maps}
+    factors = brdf.factors if isinstance(brdf, Separable) else asked.factors(brdf, terms, resolution)
+    is_polar = np.array(factors.parametrisation == POLAR)
+    arrays: dict[str, Any] = {"light_maps": factors.light_maps, "view_maps": factors.view_maps, "is_polar": is_polar}
     left = None
     if not (isinstance(brdf, Separable) or brdf.is_constant):
         left = FactorResidual(0.0, factor_error(brdf, factors))

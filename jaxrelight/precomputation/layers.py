@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.cube_grid import point_count
-from jaxrelight.brdf.factors import check_terms
+from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.errors import InputError
@@ -124,7 +124,7 @@ def check_terms_of(scene: Scene, name: str, method: Transport) -> None:
     factored = any(not brdf.is_constant and not isinstance(brdf, Separable) for brdf in brdfs)
     if factored and method.receivers == "vertices":
         try:
-            check_terms(scene.terms.get(name, method.terms), method.factor_resolution)
+            scene.factors.get(name, Factoring()).check(method.terms, method.factor_resolution)
         except InputError as error:
             raise InputError(f"{scene.name}: material '{name}': {error}") from None
 

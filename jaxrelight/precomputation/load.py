@@ -16,6 +16,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.normal_maps import NormalMaps, at_vertices, see
+from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import SpatialFactors
@@ -349,7 +350,8 @@ def receivers_of(
 
 def read_factors(layer: store.Layer) -> Factored:
     """Factors from their layer."""
-    return Factored(*jax.device_put((layer.read("light_maps", 0), layer.read("view_maps", 0))))
+    light, view = jax.device_put((layer.read("light_maps", 0), layer.read("view_maps", 0)))
+    return Factored(light, view, POLAR if layer.read("is_polar", 0) else DISC)
 
 
 def read_spatial_factors(layer: store.Layer) -> SpatialFactors:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import as_material, has_lobes, split_diffuse, split_tint
 from jaxrelight.brdf.record import to_record
@@ -139,23 +140,24 @@ class PlacedScene:
                 material = split_tint(material, diffuse=self.method.receivers == "pixels")
             bump = write_texture(self.folder, material.normal_map) if material.normal_map else None
             parts, notes = [], []
+            asked = self.scene.factors.get(name, Factoring())
             if filtered and self.method.receivers == "pixels":
                 notes.append(
                     f"{name}: lobes that are narrower than the cube map's texels reflect filtered light times filtered "
                     "visibility; --resolution has finer ones"
                 )
-            elif filtered and name in self.scene.terms and not self.method.bounces:
+            elif filtered and name in self.scene.factors and not self.method.bounces:
                 notes.append(
-                    f"{name}: 'terms' are not used, since its lobes are filtered; reflection 'factors' has terms"
+                    f"{name}: what is said of its factors is not used, since its lobes are filtered; "
+                    "reflection 'factors' has them"
                 )
             for component in material.components:
                 brdf = component.brdf
                 described = to_record(brdf, functools.partial(write_table, self.folder))
-                terms = self.scene.terms.get(name, self.method.terms) if isinstance(self.method, Transport) else 1
                 of_filtered = filtered and has_lobes(brdf)
                 reflection, factors, left = None, None, None
                 if not of_filtered or self.method.bounces:
-                    reflection, factors, left = factors_of(self.folder, brdf, described, terms, self.method)
+                    reflection, factors, left = factors_of(self.folder, brdf, described, asked, self.method)
                 if left and reflection and not of_filtered:
                     shapes = f"shapes that stand for all texels are {left.shapes:.1%} off, and " if left.shapes else ""
                     of_what = f"{left.terms:.0%} of {'them' if left.shapes else 'its BRDF'}"

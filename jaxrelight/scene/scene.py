@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
@@ -33,7 +34,7 @@ class Scene:
         lights: an environment and local lights, unless others are asked for.
         name: what messages call it.
         assumptions: what was approximated, or taken because nothing else was said, one line each.
-        terms: factors of a material, by its name, where it is to have another number than the method says.
+        factors: how a material becomes factors, by its name, where not as the method says.
         reflections: how vertices reflect a material's lobes, by its name, where not as the method says; see
             `Transport.reflection`.
     """
@@ -43,7 +44,7 @@ class Scene:
     camera: Camera
     lights: Lights = dataclasses.field(default_factory=Lights)
     name: str = "scene"
-    terms: Mapping[str, int] = dataclasses.field(default_factory=dict)
+    factors: Mapping[str, Factoring] = dataclasses.field(default_factory=dict)
     reflections: Mapping[str, str] = dataclasses.field(default_factory=dict)
     assumptions: Sequence[str] = ()
 
@@ -54,7 +55,7 @@ class Scene:
         camera: Camera,
         lights: LightsLike = None,
         name: str = "scene",
-        terms: Mapping[str, int] | None = None,
+        factors: Mapping[str, Factoring] | None = None,
         assumptions: Sequence[str] = (),
         reflections: Mapping[str, str] | None = None,
     ):
@@ -65,7 +66,7 @@ class Scene:
             "camera": camera,
             "lights": as_lights(lights),
             "name": name,
-            "terms": terms or {},
+            "factors": factors or {},
             "reflections": reflections or {},
             "assumptions": assumptions,
         }.items():
@@ -93,13 +94,19 @@ class Scene:
         return any(as_material(self.materials[part.material]).emission is not None for part in self.parts)
 
     def check_materials(self) -> None:
-        """Refuses parts whose material is not given, or cannot be put on them, and unknown ways to reflect.
+        """Refuses parts whose material is not given, or cannot be put on them, and factors that it cannot have.
 
         Raises:
             InputError: for the first of them.
         """
         for name, reflection in self.reflections.items():
             check_choice(f"{self.name}: material '{name}': reflection", reflection, REFLECTIONS)
+        for name, asked in self.factors.items():
+            if name in self.materials and as_material(self.materials[name]).is_spatial and not asked.is_shared:
+                raise InputError(
+                    f"{self.name}: material '{name}': the texels of its map share factors of the form 'svd' over the "
+                    "disc; remove 'terms_error', 'form' and 'parametrisation', which are for a single BRDF"
+                )
         for part in self.parts:
             if part.material not in self.materials:
                 raise InputError(f"{self.name}: '{part.name}' is of a material '{part.material}' that is not given")

@@ -4,12 +4,14 @@ import dataclasses
 import difflib
 import pathlib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.files import load_brdf
 from jaxrelight.brdf.files.fitted import read_fitted, read_lobes
 from jaxrelight.brdf.files.sbrdf import read_sbrdf, spatial
@@ -30,7 +32,8 @@ from jaxrelight.scene.lights import read_light
 from jaxrelight.scene.materials import from_file, made_light, read_texture, weighted
 from jaxrelight.scene.scene import Part, Scene
 
-# Types of materials that are not mixtures.
+# Keys that say how a material becomes factors, and the types of materials that are not mixtures.
+_FACTORING = "terms", "terms_error", "form", "parametrisation"
 _TYPES = "lambert, phong, lafortune, ashikhmin_shirley, measured, fitted, sbrdf"
 
 
@@ -49,7 +52,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     lights = tuple(read_light(table, path.parent) for table in root.tables("light"))
     named = root.table("material", {})  # mesh files may bring all that is needed
     tables = {name: named.table(name) for name in named.names()}
-    terms = {name: _terms(table) for name, table in tables.items() if table.has("terms")}
+    factors = {name: _factoring(table) for name, table in tables.items() if _has_any(table, _FACTORING)}
     reflections = {name: table.text("reflection") for name, table in tables.items() if table.has("reflection")}
     materials: dict[str, Brdf | Material] = {}
     mixtures, assumptions = {}, []
@@ -75,7 +78,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]; add one")
     lights = Lights(environment, lights)
-    return Scene(parts, materials, camera, lights, path.stem, terms, tuple(assumptions), reflections)
+    return Scene(parts, materials, camera, lights, path.stem, factors, tuple(assumptions), reflections)
 
 
 def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:
@@ -233,7 +236,7 @@ def _mixture(table: Table, folder: pathlib.Path, others: Mapping[str, Brdf | Mat
         part.finish()
     if not components:
         raise InputError(f"{table.where}: a mixture needs 'parts', a list of tables with 'material' and 'weight'")
-    for key in ("terms", "reflection"):
+    for key in (*_FACTORING, "reflection"):
         table.has(key)  # read elsewhere
     bumps, emission = _normal_map(table, folder), _emission(table)
     table.finish()
@@ -282,8 +285,8 @@ def _material(table: Table, folder: pathlib.Path) -> tuple[Brdf | Material, list
             brdf, read = measured.brdf, [*measured.notes, *measured.energy_notes()]
         elif kind == "fitted":
             brdf = read_fitted(folder / table.text("file"))
-            if isinstance(brdf, Separable) and table.has("terms"):
-                raise InputError("'terms' are those of the file of factors; remove it, or fit factors anew")
+            if isinstance(brdf, Separable) and (asked := [key for key in _FACTORING if table.has(key)]):
+                raise InputError(f"'{asked[0]}' is that of the file of factors; remove it, or fit factors anew")
         elif kind == "sbrdf":
             brdf = spatial(read_sbrdf(folder / table.text("maps")))
         else:
@@ -304,8 +307,19 @@ def _emission(table: Table) -> np.ndarray | None:
     return radiance if radiance.any() else None
 
 
-def _terms(table: Table) -> int:
-    terms = table.whole("terms")
-    if terms < 1:
-        raise InputError(f"{table.where}: 'terms' must be at least 1, not {terms}")
-    return terms
+def _has_any(table: Table, keys: Sequence[str]) -> bool:
+    # Of each, so that none is unknown.
+    return any([table.has(key) for key in keys])
+
+
+def _factoring(table: Table) -> Factoring:
+    values: dict[str, Any] = {
+        "terms": table.whole("terms") if table.has("terms") else None,
+        "error": table.number("terms_error") if table.has("terms_error") else None,
+        "form": table.text("form", "svd"),
+        "parametrisation": table.text("parametrisation", "disc"),
+    }
+    try:
+        return Factoring(**values)
+    except InputError as error:
+        raise table.within(error) from None

@@ -32,6 +32,8 @@ TARGETS = {
     ("dragon", 50): (6, 3, 4, 2),
     ("dragon", 300): (5, 5, 5, 5),
 }
+# The same of shares that are traced, at the exponent of that column, by so many rays a pixel.
+TRACED, RAYS = {("bunny", 50): (2.8, 1, 1.5, 1), ("dragon", 50): (4.5, 2, 3.5, 1)}, 64
 # Rows of the receiver × direction tables that are held at a time.
 BLOCK = 64
 
@@ -61,8 +63,9 @@ def main():
         report.text(
             "Exact transport of every pixel's lobe is the reference. First, forms of visibility: kept at vertices in 8 "
             "bits, interpolated, multiplied by the lobe's unshadowed radiance, which is exact here. Then the library's "
-            "own shading: light of prefiltered maps times filtered visibility, each lobe as 1, 7 or 19 narrower ones. "
-            "Last, rows of K terms, not compressed, which are kilobytes a receiver. "
+            "own shading: light of prefiltered maps times filtered visibility, each lobe as 1, 7 or 19 narrower ones, "
+            "and times shares that rays of each pixel find, each lobe divided as by default. Last, rows "
+            "of K terms, not compressed, which are kilobytes a receiver. "
             f"Errors under {' / '.join(SKIES)} in %, trimmed, untrimmed ones in brackets."
         )
         for name, file in meshes.items():
@@ -154,6 +157,10 @@ def measure(report: Report, subset: Subset, resolution: int, mesh: str):
             rows.append([label, product.nbytes, *_errors(product.radiance(exponent, narrower), exact, above)])
         targets = TARGETS[mesh, exponent]
         rows.append(["to be reached", "≤ 96", *(f"{target:g}" for target in targets)])
+        traced = product.radiance(exponent, chosen, product.traced(exponent, chosen))
+        rows.append([f"traced, {RAYS} rays a pixel", "–", *_errors(traced, exact, above)])
+        if (mesh, exponent) in TRACED:
+            rows.append(["to be reached by it", "–", *(f"{target:g}" for target in TRACED[mesh, exponent])])
         blocked = 100 * (1 - exact.sum() / open_to_all.sum())
         rows += [
             [f"K = {k}, rows of each term", "–", *_errors(radiance, exact, above)]
@@ -176,6 +183,7 @@ class Product:
         self.visibility = FilteredVisibility(jnp.asarray(codes))
         self.nbytes = codes.shape[1]
         self.rows = (frames, omega_o, subset.corners, subset.weights.astype(np.float32))
+        self.subset = subset
         self.pixels = [load_environment(shared("data", "env", file)).pixels for file in SKIES.values()]
 
     def chosen(self, exponent: float) -> int:
@@ -185,8 +193,24 @@ class Product:
 
         return narrower_lobes(_phong(exponent), Transport.reflection_tolerance)
 
-    def radiance(self, exponent: float, narrower: int) -> np.ndarray:
-        """Under all skies [p, 12]."""
+    def traced(self, exponent: float, narrower: int) -> np.ndarray:
+        """Visible shares of the pixels' lobes, by rays of each pixel."""
+        import jax.numpy as jnp
+
+        from jaxrelight.lighting.lobe_rays import traced_shares
+        from jaxrelight.lighting.pixels import SurfacePixels
+        from jaxrelight.lighting.shadows import surface_points
+
+        (frames, omega_o, *_), at = self.rows, self.subset.pixels
+        count = len(frames)
+        nothing = jnp.zeros((count, 2)), jnp.zeros(count)
+        pixels = SurfacePixels(jnp.arange(count), *nothing, jnp.asarray(omega_o), jnp.asarray(frames))
+        arrays = at.positions, at.face_normals, at.normals
+        points = surface_points(self.subset.tracer, *arrays, np.zeros(3), 1.0)  # pyright: ignore[reportArgumentType]
+        return np.asarray(traced_shares(_phong(exponent), pixels, points, 0, RAYS, narrower))
+
+    def radiance(self, exponent: float, narrower: int, shares: np.ndarray | None = None) -> np.ndarray:
+        """Under all skies [p, 12], by shares of each pixel or by filtered visibility."""
         import jax
 
         from jaxrelight.lighting.filtered_lobes import lobe_radiance
@@ -196,15 +220,17 @@ class Product:
 
         @jax.jit
         def shade(visibility, maps, rows):
-            def one(frame, omega_o, corners, weights):
+            def one(frame, omega_o, corners, weights, own):
                 def visible(direction, exponent):
                     return visibility.share(corners, weights, direction, exponent)
 
-                return lobe_radiance(brdf, omega_o, frame, maps.look_up, visible, narrower=narrower)
+                seen = visible if own is None else own
+                return lobe_radiance(brdf, omega_o, frame, maps.look_up, seen, narrower=narrower)
 
             return jax.lax.map(lambda row: one(*row), rows, batch_size=256)
 
-        every = [np.asarray(shade(self.visibility, prefilter(one), self.rows)) for one in self.pixels]
+        rows = *self.rows, shares
+        every = [np.asarray(shade(self.visibility, prefilter(one), rows)) for one in self.pixels]
         return np.concatenate(every, axis=1)
 
 

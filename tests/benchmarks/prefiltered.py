@@ -1,4 +1,4 @@
-"""Prefiltered environments: their error against quadrature, what the horizon costs, and their time."""
+"""Prefiltered environments: their error against quadrature, what the horizon and occlusion cost, and their time."""
 
 import argparse
 import dataclasses
@@ -20,6 +20,8 @@ ANGLES = 0, 20, 40, 60, 75, 85, 95
 SAMPLES = 16, 64, 256, 1024
 DIRECTIONS, FRAMES, SUBSET = 400, 100, 300
 RUNS = 5
+# Scenes of the reference renderer, and sides of cube maps that vertices look along.
+SCENES, OCCLUSION = ("bunny_phong", "bunny_lambert", "spot_lafortune"), (0, 4, 8, 16)
 
 
 def main():
@@ -35,6 +37,7 @@ def main():
         quadrature(report, skies, made, 40 if quick else DIRECTIONS)
         horizons(report, skies, 10 if quick else FRAMES)
         sampling(report, skies, made, (80, 60) if quick else (800, 600))
+        occlusion(report, quick)
         report.speed()
 
 
@@ -68,6 +71,32 @@ def building(report: Report, skies: dict) -> dict:
         'they are the rows "equal maps" below.'
     )
     return {name: made[id(pixels)] for name, pixels in skies.items()} | {"equal": equal}
+
+
+def occlusion(report: Report, quick: bool):
+    """What hides the environment: pictures against the references, by how many rays vertices look with."""
+    import jaxrelight as jr
+
+    rows, step = [], 4 if quick else 1
+    for name in SCENES[: 1 if quick else None]:
+        scene = jr.load_scene(shared("reference", f"{name}.toml"))
+        reference = jr.read_image(shared("reference", f"{name}_b0.exr"))[::step, ::step]
+        size = {"width": scene.camera.width // step, "height": scene.camera.height // step}
+        scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, **size))
+        for resolution in OCCLUSION:
+            # Once to compile.
+            for _ in range(2):
+                start = time.perf_counter()
+                relighter = jr.prepare(scene, jr.Prefiltered(occlusion_resolution=resolution))
+                seconds = time.perf_counter() - start
+            error = jr.image_error(relighter.picture(scene.lights), reference)
+            prepared = f"{seconds:.1f} s" if resolution else "–"
+            rows.append([name, resolution or "none", percent(error.trimmed), percent(error.untrimmed), prepared])
+    report.text(
+        "**Occlusion** of the environment: every vertex looks along the texels of a cube map of so many rows. Whole "
+        "pictures, floor and all, against the reference renderer's without bounces."
+    )
+    report.table(["scene", "rows", "trimmed", "untrimmed", "prepare"], rows)
 
 
 def _sphere(count: int, seed: int = 0) -> np.ndarray:

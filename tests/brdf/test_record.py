@@ -13,6 +13,7 @@ import pytest
 from jaxrelight.brdf.ashikhmin_shirley import ashikhmin_shirley
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.parametrisation import POLAR
 from jaxrelight.brdf.record import from_record, to_record
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -30,7 +31,8 @@ BRDFS = {
     ),
     "tabulated": lambda dtype: Tabulated(jnp.asarray(np.random.default_rng(0).random((2, 3, 4, 3)).astype(dtype))),
     "separable": lambda dtype: Separable(
-        *(jnp.asarray(np.random.default_rng(i).random((2, c, 4, 4)).astype(dtype)) for i, c in enumerate((1, 3)))
+        *(jnp.asarray(np.random.default_rng(i).random((2, c, 4, 4)).astype(dtype)) for i, c in enumerate((1, 3))),
+        POLAR,
     ),
     "spatial": lambda dtype: jax.tree.map(lambda x: jnp.asarray(np.asarray(x, dtype)), with_level()),
     "ashikhmin_shirley": lambda dtype: ashikhmin_shirley([0.1, 1 / 3, 0.7], 0.2, 10 / 3, 1e4, dtype),

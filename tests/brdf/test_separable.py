@@ -7,6 +7,7 @@ from jax.test_util import check_grads
 
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.lobes import lambert, phong
+from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.separable import Separable, separable
 
 OMEGA = np.random.default_rng(0).normal(size=(40, 3)) * [1, 1, 0.7]
@@ -28,8 +29,9 @@ def _sides(factors, omega_i, omega_o):
     return jax.vmap(factors.light_side)(omega_i), jax.vmap(factors.view_side)(omega_o)
 
 
-def test_it_is_the_sum_of_the_products_of_its_factors():
-    factors = factor(phong(0.2, [0.1, 0.3, 0.5], 4), 5, 12)
+@pytest.mark.parametrize("parametrisation", [DISC, POLAR])
+def test_it_is_the_sum_of_the_products_of_its_factors(parametrisation):
+    factors = factor(phong(0.2, [0.1, 0.3, 0.5], 4), 5, 12, form="svd", parametrisation=parametrisation)
     light, view = _sides(factors, OMEGA.astype(np.float32), OMEGA[::-1].astype(np.float32))
     np.testing.assert_allclose(_values(separable(factors)), np.einsum("pkc,pkc->pc", light, view), rtol=1e-5, atol=1e-6)
 

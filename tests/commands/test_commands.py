@@ -446,7 +446,7 @@ def test_a_scene_of_lobes_alone_has_no_rows(folder, run):
     dials = "--receivers", "vertices", *DIALS
     status, out, err = run("render", "scene.toml", "-o", "a.exr", "--store", "made", *dials, "--json")
     assert status == 0
-    assert "gloss: 'terms' are not used, since its lobes are filtered" in err
+    assert "gloss: what is said of its factors is not used, since its lobes are filtered" in err
     assert read_image("a.exr")[..., :3].max() > 0
     summary = summary_of(run("info", "made", "--json"))
     assert (summary["rows"], summary["materials"]) == (0, {})

@@ -24,6 +24,7 @@ from jaxrelight import InputError, Part, Scene
 from jaxrelight.basis import latlong
 from jaxrelight.basis.haar import HaarFaces
 from jaxrelight.brdf.factored import Factored
+from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.files import store
@@ -882,7 +883,7 @@ def test_baking_is_compiled_once_for_materials_of_a_kind(scene, made, tmp_path):
 
 
 def test_a_material_may_have_its_own_number_of_terms(tmp_path):
-    scene = dataclasses.replace(_small_scene(), terms={"paper": 5, "gloss": 2})
+    scene = dataclasses.replace(_small_scene(), factors={"paper": Factoring(5), "gloss": Factoring(2)})
     precompute(scene, dataclasses.replace(METHOD, terms=3), tmp_path)
     terms = {block.material: block.reflection.terms for block in load_transport(tmp_path).blocks}
     assert terms == {"paper": 1, "gloss": 2}

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from jaxrelight import InputError, Scene, ashikhmin_shirley, lambert, load_mesh, load_scene, phong, plane, write_image
+from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.material import as_material
 from tests.shared_data import shared
 
@@ -162,10 +163,15 @@ def test_lights_are_an_environment_and_local_ones_together(folder):
         dataclasses.replace(scene, lights=[environment, environment])
 
 
-def test_terms_of_a_material(folder):
-    scene = load_scene(_write(folder, _changed(GOOD, "exponent = 12", "exponent = 12\nterms = 7")))
-    assert scene.terms == {"lacquer": 7}
-    assert load_scene(_write(folder, GOOD)).terms == {}
+def test_factors_of_a_material(folder):
+    for asked, wanted in (
+        ("terms = 7", Factoring(7)),
+        ('form = "nonnegative"', Factoring(form="nonnegative")),
+        ('terms_error = 0.1\nparametrisation = "polar"', Factoring(error=0.1, parametrisation="polar")),
+    ):
+        scene = load_scene(_write(folder, _changed(GOOD, "exponent = 12", f"exponent = 12\n{asked}")))
+        assert scene.factors == {"lacquer": wanted}
+    assert load_scene(_write(folder, GOOD)).factors == {}
 
 
 def test_emission_of_a_material(folder):

@@ -101,11 +101,12 @@ def test_other_factors_are_baked_anew(tmp_path, factors):
     assert np.abs(after - before).max() > 0.01
 
 
-def test_terms_cannot_be_asked_of_given_factors(tmp_path, factors):
-    with pytest.raises(jr.InputError, match=r"\[paint\]: 'terms' are those of the file of factors"):
-        _scene(tmp_path, "npz", "terms = 3")
+@pytest.mark.parametrize(("key", "value"), [("terms", "3"), ("form", '"symmetric"')])
+def test_others_cannot_be_asked_of_given_factors(tmp_path, factors, key, value):
+    with pytest.raises(jr.InputError, match=rf"\[paint\]: '{key}' is that of the file of factors"):
+        _scene(tmp_path, "npz", f"{key} = {value}")
     write_lobes(tmp_path / "paint.toml", BRDF)
-    assert _scene(tmp_path, "toml", "terms = 3").terms == {"paint": 3}
+    assert set(_scene(tmp_path, "toml", f"{key} = {value}").factors) == {"paint"}
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ A .toml file holds what a scene's table of type "lafortune" holds, and may be co
     exponent = 20                   # or a list
     peak = [0.5, 0.6, 0.7]          # the lobe at its largest, in 1/sr; or `specular`, its factor
 
-A .npz file holds `light_maps` [k, c, r, r] and `view_maps` [k, 3, r, r], Σ_k light_k(ω_i) · view_k(ω_o), over the disc
-of Wang 2006 eq. 10 with texels in the order y, x; c is 1 or 3. Other arrays in it are not looked at.
+A .npz file holds `light_maps` [k, c, r, r] and `view_maps` [k, 3, r, r], Σ_k light_k(ω_i) · view_k(ω_o), with texels in
+the order y, x; c is 1 or 3. They are over the disc of Wang 2006 eq. 10, or, where it has an `is_polar` that is true,
+polar ones (eq. 11). Other arrays in it are not looked at.
 """
 
 import pathlib
@@ -19,6 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from jaxrelight.brdf.lobes import LobeSum, lobe, lobe_sum
+from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.errors import InputError
 from jaxrelight.files.npz import read_npz
@@ -114,15 +116,17 @@ def write_factors(path: str | pathlib.Path, factors: Separable) -> None:
     if not (np.isfinite(light).all() and np.isfinite(view).all()):
         raise InputError(f"{path}: the factors are not finite and cannot be written; check the BRDF")
 
+    is_polar = np.array(factors.parametrisation == POLAR)
+
     def write(partial: pathlib.Path) -> None:
         with partial.open("wb") as file:
-            np.savez_compressed(file, light_maps=light, view_maps=view)
+            np.savez_compressed(file, light_maps=light, view_maps=view, is_polar=is_polar)
 
     write_whole(path, write)
 
 
 def _factors(path: pathlib.Path) -> Separable:
-    arrays = read_npz(path, "factors", ("light_maps", "view_maps"))
+    arrays = read_npz(path, "factors", ("light_maps", "view_maps", "is_polar"))
     for name in ("light_maps", "view_maps"):
         if name not in arrays:
             raise InputError(f"{path}: '{name}' is missing; it has {', '.join(sorted(arrays)) or 'nothing'}")
@@ -133,5 +137,8 @@ def _factors(path: pathlib.Path) -> Separable:
             raise InputError(f"{path}: '{name}' of shape {shape} is no [terms, channels, side, side] of both sides")
         if not (np.abs(maps) < np.finfo(np.float32).max).all():
             raise InputError(f"{path}: '{name}' has numbers that are not finite; factor the material again")
+    is_polar = arrays.get("is_polar", np.array(False))
+    if is_polar.dtype.kind != "b" or is_polar.shape:
+        raise InputError(f"{path}: 'is_polar' is neither true nor false; write the file again")
     dtype = float_dtype(light, view)
-    return Separable(as_array(light, dtype), as_array(view, dtype))
+    return Separable(as_array(light, dtype), as_array(view, dtype), POLAR if is_polar else DISC)

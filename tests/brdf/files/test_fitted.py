@@ -11,6 +11,7 @@ import pytest
 from jaxrelight.brdf.factors import factor
 from jaxrelight.brdf.files.fitted import read_fitted, write_factors, write_lobes
 from jaxrelight.brdf.lobes import lambert, lobe, lobe_sum, phong
+from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.separable import Separable, separable
 from jaxrelight.errors import InputError
 from jaxrelight.files import whole_file
@@ -42,10 +43,11 @@ def test_the_file_of_lobes_can_be_copied_into_a_scene(tmp_path):
     assert table["lobes"][0] == {"C": [-1, -1, 1], "exponent": 12, "peak": pytest.approx([0.8912677] * 3)}
 
 
-@pytest.mark.parametrize("form", ["svd", "symmetric", "nonnegative", "constant"])
+@pytest.mark.parametrize("form", ["svd", "symmetric", "nonnegative", "constant", "polar"])
 def test_factors_come_back_to_the_last_bit(tmp_path, form):
     brdf = lambert([0.1, 0.2, 0.3]) if form == "constant" else phong(0.1, 0.3, 4)
-    made = separable(factor(brdf, 3, 8, form="svd" if form == "constant" else form))
+    maps = POLAR if form == "polar" else DISC
+    made = separable(factor(brdf, 3, 8, form="svd" if form in ("constant", "polar") else form, parametrisation=maps))
     write_factors(tmp_path / "a.npz", made)
     assert eqx.tree_equal(read_fitted(tmp_path / "a.npz"), made)
 
@@ -135,6 +137,7 @@ ONES = np.ones((2, 3, 4, 4), np.float32)
         ({"light_maps": ONES[:1]}, "'light_maps' of shape (1, 3, 4, 4)"),
         ({"light_maps": ONES[..., :3]}, "'light_maps' of shape (2, 3, 4, 3)"),
         ({"light_maps": ONES[:0]}, "'light_maps' of shape (0, 3, 4, 4)"),
+        ({"is_polar": 1.0}, "'is_polar' is neither true nor false"),
         ({"light_maps": ONES * np.nan}, "'light_maps' has numbers that are not finite"),
         ({"view_maps": ONES.astype(float) * 1e300}, "'view_maps' has numbers that are not finite"),
     ],
