@@ -49,7 +49,7 @@ def measure(report: Report, path: pathlib.Path, resolution: int, side: int, fold
         materials={**scene.materials, "plaster": jr.phong([0.4, 0.1, 0.1], 0.4, EXPONENT)},
     )
     sky = jr.load_environment(shared("data", "env", SKY))
-    turned = dataclasses.replace(sky, rotate_y=30.0)
+    turned = sky.with_(rotate_y=30.0)
     dials = {
         "filtered, the lobe itself": {"reflection_tolerance": 0.5},
         "filtered, 7 narrower lobes": {"reflection_tolerance": 0.01},
