@@ -1,6 +1,7 @@
 """The points for which transport is precomputed, and the groups in which it is."""
 
 import dataclasses
+import functools
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -53,6 +54,11 @@ class Receivers:
     def count(self) -> int:
         """Receivers, copies not counted."""
         return len(self.slot_of)
+
+    @functools.cached_property
+    def single_precision_axes(self) -> tuple[Float[np.ndarray, "g m 3"], Float[np.ndarray, "g m 3"]]:
+        """Normals and tangents."""
+        return self.normals.astype(np.float32), self.tangents.astype(np.float32)
 
     def groups_of(self, material: int | np.integer) -> Int[np.ndarray, " g"]:
         """The groups of a material, which follow each other."""

@@ -28,9 +28,8 @@ from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, gro
 from jaxrelight.lighting.visible_surfaces import Corners, SurfaceMaterial, VisibleSurfaces, corners_of, trace_view
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
-from jaxrelight.lights.prefiltered import PrefilteredMaps, prefilter
+from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
 from jaxrelight.methods import Prefiltered
-from jaxrelight.numerics.arrays import on_host
 from jaxrelight.numerics.numbers import Number
 from jaxrelight.precomputation.vertex_occlusion import VertexOcclusion
 from jaxrelight.transport.filtered_visibility import FilteredVisibility
@@ -85,7 +84,7 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
         environment, maps = lights.environment, None
         if environment is not None:
             self._check_filtered()
-            maps = prefilter(on_host(environment.pixels), self.method.map_rows)
+            maps = maps_of(environment, self.method.map_rows)
         return PrefilteredLight(environment, maps, group_lights(lights.local))
 
     def _check_filtered(self):

@@ -34,7 +34,7 @@ def sun_terms(
 
     Args:
         transport: whose receivers are lit.
-        texels: numbers of `MAX_TEXELS` texels of its cube map.
+        texels: numbers of texels of its cube map.
         radiance: theirs; 0 for texels that no sun is in.
     """
     assert isinstance(transport.method, Transport)
@@ -119,8 +119,8 @@ def _of_block(transport: PrecomputedTransport, block: Block, visible, vectors, e
         return numbers.pad(flat, ((0, more), *[(0, 0)] * (flat.ndim - 1)), mode="edge")
 
     own, shared = eqx.partition(block.reflection, block.reflection.per_receiver)
-    axes = [filled(axis[block.groups]) for axis in (transport.receivers.normals, transport.receivers.tangents)]
-    normals, tangents = (axis.astype(np.float32) for axis in axes)
+    mine = slice(block.first_group, block.first_group + block.group_count)
+    normals, tangents = (filled(axis[mine]) for axis in transport.receivers.single_precision_axes)
     return _terms(normals, tangents, _filled_rows(visible, more), jax.tree.map(filled, own), shared, vectors, energy)
 
 
@@ -141,6 +141,11 @@ def _terms(
     vectors: Float[Array, "f 3"],
     energy: Float[Array, "f c"],
 ) -> Float[Array, "v k c"]:
+    if shared.is_constant:
+        cosines = jnp.maximum(jnp.matmul(normals, vectors.T, precision="highest"), 0)
+        arriving = jnp.matmul(cosines * visible, energy, precision="highest")
+        return shared.light_side(vectors[0])[None] * arriving[:, None]
+
     def receiver(arguments):
         normal, tangent, visible, own = arguments
         local = jnp.matmul(tangent_frame(normal, tangent), vectors.T, precision="highest")

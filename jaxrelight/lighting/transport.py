@@ -12,7 +12,6 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from jaxrelight.basis import latlong
-from jaxrelight.basis.cubemap import Texels
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
@@ -40,10 +39,10 @@ from jaxrelight.lighting.visible_surfaces import (
 )
 from jaxrelight.lights.environment import Environment, coarsened, encode
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
-from jaxrelight.lights.prefiltered import PrefilteredMaps, prefilter
+from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
-from jaxrelight.numerics.arrays import as_array, is_traced, on_host
+from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.operators.clustered import Clustered
 from jaxrelight.operators.contract import Operator, Summed
 from jaxrelight.operators.sparse_rows import SparseRows
@@ -248,8 +247,9 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     def _terms_with_sun(self, environment: Environment) -> LightTerms:
         pixels = coarsened(environment.pixels, self.method.resolution)
         resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution)
-        arguments = pixels, environment.rotate_y, environment.scale, resampling, self.transport.basis
-        rest, sun, texels, radiance = _split(*arguments)
+        # Programs of their own: together they take half as long again.
+        whole = resampling.apply(latlong.rotate(pixels, environment.rotate_y))
+        rest, sun, texels, radiance = _split(whole, environment.scale, self.transport.basis)
         terms = self.terms(rest)
         known = jax.lax.stop_gradient(radiance)
         if not is_traced(known) and not np.asarray(known).any():
@@ -272,7 +272,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         """What filtered lobes read of an environment; None where there are none."""
         if environment is None or not self.transport.lobes:
             return None
-        return prefilter(on_host(environment.pixels), between=self.exponents)
+        return maps_of(environment, between=self.exponents)
 
     def _light_vector_of(self, environment: Environment) -> Float[Array, "d c"]:
         pixels = coarsened(environment.pixels, self.method.resolution)
@@ -379,9 +379,9 @@ def _traced_view(
 
 
 @jax.jit
-def _split(pixels, rotate_y, scale, resampling, basis):
+def _split(texels, scale, basis):
     """Light vectors of an environment without its sun, and of the sun; its texels and their radiance."""
-    split = split_sun(encode(pixels, rotate_y, scale, resampling, Texels(basis.resolution)))
+    split = split_sun(texels * jnp.asarray(scale, texels.dtype))
     rest, sun = basis.encode(jnp.stack([split.rest.T, split.sun.T]))
     return rest.T, sun.T, split.texels, split.radiance
 

@@ -1,6 +1,9 @@
 """Environments filtered for lobes of every exponent: one set of maps for all BRDFs (McAllister 2002 §6, eqs. 7–11)."""
 
+import collections
 import math
+import weakref
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +13,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.zonal import filtered_maps
+from jaxrelight.lights.environment import Environment
+from jaxrelight.numerics.arrays import is_traced, on_host
 from jaxrelight.numerics.numbers import Number
 
 # n + 1 of neighbouring maps differs by the factor √2: a lobe between them is their mixture within 1 % of its norm.
@@ -18,6 +23,8 @@ _PER_DOUBLING = 2
 _SHARPEST = 2**14
 # Rows of maps are multiples of so many.
 _ROWS = 16
+# Environments whose maps are remembered.
+_MAX_REMEMBERED = 4
 
 
 class PrefilteredMaps(eqx.Module):
@@ -129,3 +136,34 @@ def prefilter(
 @jax.jit
 def _joined(maps: list[Float[Array, "_ _ c"]]) -> Float[Array, "t c"]:
     return jnp.concatenate([one.reshape(-1, one.shape[-1]) for one in maps])
+
+
+class _Remembered(NamedTuple):
+    """Maps, and what they were made of."""
+
+    pixels: weakref.ref
+    asked: tuple
+    maps: PrefilteredMaps
+
+
+_REMEMBERED: collections.deque[_Remembered] = collections.deque(maxlen=_MAX_REMEMBERED)
+
+
+def maps_of(environment: Environment, finest: int = 512, between: tuple[float, float] | None = None) -> PrefilteredMaps:
+    """Maps of an environment before it is turned and scaled; those of the last few are remembered while they live.
+
+    Args:
+        environment: whose pixels are filtered; one that is turned or scaled otherwise has the same maps.
+        finest: see `prefilter`.
+        between: see `prefilter`.
+    """
+    pixels, asked = environment.pixels, (finest, between)
+    if is_traced(pixels):
+        return prefilter(pixels, finest, between=between)
+    # JAX's arrays do not change.
+    for known in _REMEMBERED:
+        if known.pixels() is pixels and known.asked == asked:
+            return known.maps
+    maps = prefilter(on_host(pixels), finest, between=between)
+    _REMEMBERED.append(_Remembered(weakref.ref(pixels), asked, maps))
+    return maps

@@ -55,7 +55,8 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     largest = jnp.max(jnp.abs(known))
     scaled = known / jnp.where(largest > 0, largest, 1)
     energy = jnp.sum(jnp.square(scaled), axis=1)
-    top, index = jax.lax.top_k(energy, MAX_TEXELS + 1)
+    # Behind a barrier, as XLA sorts all texels where it sees that the results are cut.
+    top, index = jax.lax.optimization_barrier(jax.lax.top_k(energy, MAX_TEXELS + 1))
     limit, top, index = top[-1], top[:-1], index[:-1]
     bright = (top > BRIGHTER**2 * limit) & (top > 0)
     is_sun = jnp.sum(jnp.where(bright, top, 0)) >= SHARE * jnp.sum(energy)

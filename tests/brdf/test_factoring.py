@@ -73,7 +73,9 @@ def test_a_store_keeps_what_was_asked_for(tmp_path):
 
 
 def test_maps_of_lobes_share_factors_of_one_form_alone():
-    scene = dataclasses.replace(_scene(Material((Component(maps_of_lobes()),))), factors={"gloss": Factoring(form="symmetric")})
+    scene = dataclasses.replace(
+        _scene(Material((Component(maps_of_lobes()),))), factors={"gloss": Factoring(form="symmetric")}
+    )
     with pytest.raises(jr.InputError, match="remove 'terms_error', 'form' and 'parametrisation'"):
         scene.check_materials()
 

@@ -9,8 +9,8 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxrelight.basis import latlong
-from jaxrelight.lights.environment import load_environment
-from jaxrelight.lights.prefiltered import exponents, prefilter
+from jaxrelight.lights.environment import Environment, environment, load_environment
+from jaxrelight.lights.prefiltered import exponents, maps_of, prefilter
 from tests.shared_data import shared
 
 # Rows of the finest maps in most tests, of three channels: programs are the same.
@@ -124,3 +124,22 @@ def test_gradients_in_direction_and_exponent_are_right(maps, x64):
     exact = dataclasses.replace(maps, texels=jnp.asarray(np.asarray(maps.texels, float)))
     given = sphere(1)[0], np.asarray(5.3)
     check_grads(jax.jit(lambda *given: exact.look_up(*given)), given, order=1, modes=["rev"])
+
+
+def test_an_environment_that_is_turned_or_scaled_has_the_same_maps():
+    pixels = np.random.default_rng(0).uniform(size=(8, 16, 3)).astype(np.float32)
+    sky = environment(pixels)
+    maps = maps_of(sky, FINEST)
+    assert maps_of(sky.with_(rotate_y=30.0, scale=2.0), FINEST) is maps
+    assert maps_of(sky, FINEST, (1.0, 1.0)) is not maps
+    # The same numbers elsewhere are another array, and other numbers other maps.
+    np.testing.assert_array_equal(maps_of(environment(pixels), FINEST).texels, maps.texels)
+    assert np.abs(np.asarray(maps_of(environment(2 * pixels), FINEST).texels) - np.asarray(maps.texels)).max() > 0.1
+
+
+def test_maps_of_traced_pixels_are_not_remembered():
+    pixels = jnp.asarray(np.random.default_rng(0).uniform(size=(8, 16, 3)).astype(np.float32))
+    slope = jax.grad(lambda x: jnp.sum(maps_of(Environment(x), FINEST, (1.0, 1.0)).texels))(pixels)
+    assert np.isfinite(slope).all()
+    assert np.asarray(slope).min() > 0
+    assert not isinstance(maps_of(environment(np.asarray(pixels)), FINEST, (1.0, 1.0)).texels, jax.core.Tracer)
