@@ -15,7 +15,7 @@ from jaxrelight.methods import METHODS, Method, documentation
 
 HELP_ALL = "--help-all"
 # Options of commands that only some methods have, that --help-all alone lists, and that are dials as well.
-_ONLY_OF = {"store": ("transport", "indirect"), "layers": ("indirect",), "maps": ("adaptive",)}
+_ONLY_OF = {"store": ("transport", "indirect", "prefiltered"), "layers": ("indirect",), "maps": ("adaptive",)}
 _ADVANCED = ("modules",)
 _SHARED = ("exposure",)
 

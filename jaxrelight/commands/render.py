@@ -41,7 +41,8 @@ class Render:
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
     picture: tyro.conf.OmitArgPrefixes[PictureOptions] = PictureOptions()
     store: pathlib.Path | None = None
-    """The store's folder; by default one in the user's cache folder."""
+    """The store's folder; by default one in the user's cache folder. Prefiltered lighting reads from one of transport
+    what hides the environment, instead of casting rays for it."""
     layers: bool = False
     """Write direct light, indirect light by its last reflection and each light as layers of the .exr."""
     maps: pathlib.Path | None = None

@@ -14,7 +14,7 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
-from jaxrelight.precomputation.vertex_occlusion import vertex_occlusion
+from jaxrelight.precomputation.vertex_occlusion import stored_occlusion, vertex_occlusion
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
@@ -28,13 +28,15 @@ def prepare(
 ) -> Relighter:
     """Does what can be done before the light is known, and gives what lights the scene.
 
-    `Transport` and `Indirect` precompute into a store, or complete it; what is done there is reused. `Prefiltered` and
-    `Adaptive` have no store.
+    `Transport` and `Indirect` precompute into a store, or complete it; what is done there is reused. `Prefiltered`
+    takes what hides the environment from a store of transport, where one is given, and traces it otherwise. `Adaptive`
+    has no store.
 
     Args:
         scene: what to light. Pixel receivers and `Indirect` bind its camera.
         method: the lighting method and its dials; by default `default_method(scene)`.
-        store: the store's folder; by default one in the user's cache folder, named by the geometry.
+        store: the store's folder; by default one in the user's cache folder, named by the geometry, or none for
+            `Prefiltered`.
         report: called with the progress: a stage, how much of it is done and how much there is.
 
     Raises:
@@ -63,10 +65,10 @@ def prepare_with_build(
                 relighter = _relighter_of(load(build.folder, build.header, build.geometry))
             return relighter, build
         case Prefiltered():
-            _refuse_store(method, store)
-            return _prepare_prefiltered(scene, method, report), None
+            return _prepare_prefiltered(scene, method, store, report), None
         case Adaptive():
-            _refuse_store(method, store)
+            if store is not None:
+                raise InputError("Adaptive precomputes nothing, so it has no store; leave it out")
             return _prepare_adaptive(scene, method, report), None
     raise InputError(f"a lighting method is Transport, Indirect, Prefiltered or Adaptive, not {type(method).__name__}")
 
@@ -91,14 +93,15 @@ def _relighter_of(precomputed) -> TransportRelighter | IndirectRelighter:
     return TransportRelighter(precomputed)
 
 
-def _refuse_store(method: Method, store: str | pathlib.Path | None):
-    if store is not None:
-        raise InputError(f"{type(method).__name__} precomputes nothing, so it has no store; leave it out")
-
-
-def _prepare_prefiltered(scene: Scene, method: Prefiltered, report: Report | None) -> PrefilteredRelighter:
+def _prepare_prefiltered(
+    scene: Scene, method: Prefiltered, store: str | pathlib.Path | None, report: Report | None
+) -> PrefilteredRelighter:
     materials, geometry, occlusion = _materials(scene, method.minification), _geometry(scene), None
-    if method.occlusion_resolution:
+    if store is not None:
+        if not method.occlusion_resolution:
+            raise InputError("an occlusion resolution of 0 reads no visibility of a store; leave one of them out")
+        occlusion = stored_occlusion(store, scene, geometry.surfaces)
+    elif method.occlusion_resolution:
         occlusion = vertex_occlusion(geometry.surfaces, geometry.tracer, method.occlusion_resolution, report)
     return PrefilteredRelighter(
         materials=materials,

@@ -21,6 +21,7 @@ from jaxrelight.brdf.sub_lobes import narrowest
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import Receivers
+from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.record import to_records
 from jaxrelight.methods import Indirect, Transport
@@ -212,8 +213,7 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
     surfaces = scene.surfaces()
     names = sorted({part.material for part in scene.parts})
     material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
-    shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
-    key = store.key_of(shapes, surfaces.two_sided)
+    key, whole_key = geometry_keys(scene, surfaces)
     folder = pathlib.Path(folder or store.default_folder(key))
     tracer = Tracer(surfaces)
     bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
@@ -221,11 +221,16 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
     if not receivers.count:
         raise InputError(f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices")
     make_folder(folder)
-    # No ray depends on texture coordinates.
-    whole_key = store.key_of(key, surfaces.uv, surfaces.uv_tangents)
     layer = write_geometry(folder / f"geometry-{whole_key}", surfaces)
     geometry = SceneGeometry(surfaces, tracer, tuple(bumps), (), receivers, seen)
     return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key)
+
+
+def geometry_keys(scene: Scene, surfaces: Surfaces) -> tuple[str, str]:
+    """The key of all that rays depend on, and that of the geometry with its texture coordinates, which none does."""
+    shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
+    key = store.key_of(shapes, surfaces.two_sided)
+    return key, store.key_of(key, surfaces.uv, surfaces.uv_tangents)
 
 
 def _check_classes(scene: Scene, method: Transport | Indirect) -> None:

@@ -1,16 +1,22 @@
-"""What hides the environment from vertices, from a few hundred rays each: kept nowhere, and made in seconds."""
+"""What hides the environment from vertices: of a store of transport, or from a few hundred rays each in seconds."""
+
+import pathlib
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Int, Int8
 
 from jaxrelight.basis import cubemap
-from jaxrelight.geometry.receivers import GROUP, vertex_receivers
+from jaxrelight.errors import InputError
+from jaxrelight.files import store
+from jaxrelight.geometry.receivers import Receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.groups import Threads
+from jaxrelight.precomputation.placing import geometry_keys
 from jaxrelight.progress import Report
+from jaxrelight.scene.scene import Scene
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.filtered_visibility import FilteredVisibility, visibility_distances
@@ -51,7 +57,6 @@ def vertex_occlusion(
     receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int))
     groups = len(receivers.filled)
     directions, vectors = bake.directions_for(resolution), cubemap.directions(resolution)
-    held = padded_receivers(groups * GROUP) // GROUP
     codes: list[np.ndarray] = [np.zeros(0, np.int8)] * groups
     frames = frames_of(receivers, np.arange(groups)).astype(np.float32)
 
@@ -65,6 +70,43 @@ def vertex_occlusion(
         done += int(receivers.filled[group])
         if report is not None:
             report("occlusion", done, receivers.count)
-    every = np.concatenate(codes)
-    padded = np.pad(every, ((0, held * GROUP - len(every)), (0, 0)))
-    return VertexOcclusion(FilteredVisibility(as_array(padded, np.int8)), Slots(receivers.slot_of, tracer.key))
+    return _occlusion(np.concatenate(codes), receivers, tracer.key)
+
+
+def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surfaces) -> VertexOcclusion:
+    """The filtered visibility that a store of transport has of a scene's vertices; no ray, and nothing is written.
+
+    Args:
+        folder: the store.
+        scene: of the same geometry; its materials may be others.
+        surfaces: its meshes.
+
+    Raises:
+        InputError: if it is no store, damaged, of another geometry, or has no filtered visibility.
+    """
+    folder = pathlib.Path(folder)
+    header = store.read_header(folder)
+    try:
+        is_same = header["geometry"] == f"geometry-{geometry_keys(scene, surfaces)[1]}"
+        material_of_mesh, layer = np.array(header["material_of_mesh"]), header.get("filtered")
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{folder / 'store.json'}: damaged; run precompute again") from None
+    if not is_same:
+        raise InputError(f"{folder}: is the store of another geometry than {scene.name}; name its own, or none")
+    if not layer:
+        raise InputError(
+            f"{folder}: has no filtered visibility; precompute vertices of a scene with glossy materials there, or "
+            "name no store, and rays are cast now"
+        )
+    receivers = vertex_receivers(surfaces, material_of_mesh)
+    codes = store.open_layer(folder / layer)
+    if codes.missing or codes.groups != len(receivers.filled):
+        raise InputError(f"{folder}: its filtered visibility is not complete; run precompute again")
+    read = np.concatenate([codes.read("codes", group) for group in range(codes.groups)])
+    return _occlusion(read, receivers, codes.folder.name)
+
+
+def _occlusion(codes: Int8[np.ndarray, "r s"], receivers: Receivers, key: str) -> VertexOcclusion:
+    """Of one of few lengths, so that another mesh of about the same size compiles nothing new."""
+    padded = np.pad(codes, ((0, padded_receivers(len(codes)) - len(codes)), (0, 0)))
+    return VertexOcclusion(FilteredVisibility(as_array(padded, np.int8)), Slots(receivers.slot_of, key))

@@ -61,3 +61,36 @@ def test_it_is_reported_in_vertices_and_is_an_argument_of_jitted_functions():
 
     value, slope = jax.value_and_grad(total)(2.0)
     np.testing.assert_allclose(2 * slope, value, rtol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+    """A store of transport with filtered visibility."""
+    folder = tmp_path_factory.mktemp("occlusion") / "store"
+    jr.prepare(scene(jr.phong(0.2, 0.5, 40)), jr.Transport("vertices", resolution=16), folder)
+    return folder
+
+
+def test_a_store_of_transport_has_it(stored: pathlib.Path):
+    """Of another material as well, and without a ray."""
+    told, method = [], jr.Prefiltered(map_rows=64, occlusion_resolution=16)
+    for gloss in (jr.phong(0.2, 0.5, 40), jr.lambert([0.7, 0.5, 0.3])):
+        of = scene(gloss)
+        from_store = jr.prepare(of, method, stored, lambda *of: told.append(of)).picture(background=False)
+        traced = jr.prepare(of, method).picture(background=False)
+        assert image_error(from_store, traced).untrimmed < 1e-5
+    assert not told
+
+
+def test_stores_without_it_are_refused(stored: pathlib.Path, tmp_path: pathlib.Path):
+    glossy = scene(jr.phong(0.2, 0.5, 40))
+    other = Scene([jr.Part(jr.sphere(0.5, 4), "gloss")], {"gloss": jr.phong(0.3, 0.4, 30)}, CAMERA, sky())
+    with pytest.raises(jr.InputError, match="another geometry than scene"):
+        jr.prepare(other, jr.Prefiltered(), stored)
+    with pytest.raises(jr.InputError, match="leave one of them out"):
+        jr.prepare(glossy, jr.Prefiltered(occlusion_resolution=0), stored)
+    with pytest.raises(jr.InputError, match="store"):
+        jr.prepare(glossy, jr.Prefiltered(), tmp_path / "none")
+    jr.prepare(other, jr.Transport("vertices", resolution=4, reflection="factors", factor_resolution=8), tmp_path / "s")
+    with pytest.raises(jr.InputError, match="no filtered visibility; precompute vertices"):
+        jr.prepare(other, jr.Prefiltered(), tmp_path / "s")
