@@ -11,7 +11,7 @@ from tests.benchmarks.measuring import Report, shared
 from tests.benchmarks.terms_curve import Baked, Points, draw_points
 
 SCENE = "bunny_phong"
-MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res3.ply"}
+MESHES = {"bunny": "bunny_mitsuba.ply", "dragon": "dragon_vrip_res2_bin.ply"}
 SKIES = {
     "Grace": "grace_latlong.exr",
     "Venice": "pmndrs_venice.exr",

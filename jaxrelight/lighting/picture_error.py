@@ -1,0 +1,135 @@
+"""How far a picture is from its method's exact reference, measured on a sample of its own pixels."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float, Int
+
+# As `images.image_error` trims.
+TRIM = 0.05
+# Samples drawn again, and the share of them that an interval leaves out on each side.
+_REDRAWN, _TAIL = 1000, 0.025
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """A relative error, and the interval that holds that of the whole picture 95 times in 100."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{100 * self.value:.2g} % ± {100 * max(self.high - self.value, self.value - self.low):.1g}"
+
+
+@dataclasses.dataclass(frozen=True)
+class PictureError:
+    """Relative L2 of a picture against its reference, over the pixels that show a surface; 0.01 is one percent.
+
+    Attributes:
+        trimmed: without the twentieth of the pixels that differ most, as `image_error` has it.
+        untrimmed: of all.
+        parts: what each means brings about by itself, trimmed, by name; they add up by squares where they are
+            independent.
+        reference: what the picture was compared with.
+        missing: light that neither the picture's method nor the reference has, or that was taken as it is.
+        samples: pixels that were compared.
+    """
+
+    trimmed: Estimate
+    untrimmed: Estimate
+    parts: dict[str, float]
+    reference: str
+    missing: tuple[str, ...]
+    samples: int
+
+    def __str__(self) -> str:
+        shares = sorted(self.parts.items(), key=lambda part: -part[1])
+        said = ", ".join(f"{name} {100 * share:.2g}" for name, share in shares if share >= 5e-5)
+        without = f"; not measured: {', '.join(self.missing)}" if self.missing else ""
+        return f"{self.trimmed} from {self.reference}{': ' + said if said else ''}{without}"
+
+
+def drawn_pixels(pixels: Int[np.ndarray, " n"], count: int, seed: int = 0) -> Int[np.ndarray, " s"]:
+    """A sample of pixels by strata: one of each run of the picture's, drawn at random.
+
+    Args:
+        pixels: places in the flattened picture, ascending.
+        count: of the sample; all of them where there are no more.
+        seed: of the numbers.
+    """
+    if len(pixels) <= count:
+        return pixels
+    ends = np.linspace(0, len(pixels), count + 1)
+    place = ends[:-1] + np.random.default_rng(seed).random(count) * np.diff(ends)
+    return pixels[np.minimum(place.astype(int), len(pixels) - 1)]
+
+
+def measured_error(
+    pictured: Mapping[str, Float[np.ndarray, "s 3"]],
+    exact: Mapping[str, Float[np.ndarray, "s 3"]],
+    alike: Float[np.ndarray, "s 3"],
+    further: Mapping[str, float],
+    reference: str,
+    missing: tuple[str, ...] = (),
+) -> PictureError:
+    """The error of the whole picture, as a sample tells it.
+
+    Args:
+        pictured: radiance of the sample's pixels, by means.
+        exact: the same of the reference.
+        alike: radiance that both have.
+        further: relative errors that both have, by name, added by squares.
+        reference: what it is.
+        missing: what is not measured.
+    """
+    wanted = alike + sum(exact.values(), np.zeros_like(alike))
+    apart = {means: pictured[means] - exact[means] for means in pictured}
+    distance, size = (_squares(of) for of in (sum(apart.values(), np.zeros_like(alike)), wanted))
+    also = float(np.sum(np.square(list(further.values())))) if further else 0.0
+    keep = distance <= np.quantile(distance, 1 - TRIM)
+    parts = {means: _ratio(_squares(of)[keep].sum(), size[keep].sum()) for means, of in apart.items()}
+    drawn = np.random.default_rng(0).integers(0, len(size), (_REDRAWN, len(size)))
+    return PictureError(
+        trimmed=_estimate(_trimmed, distance, size, drawn, also),
+        untrimmed=_estimate(_untrimmed, distance, size, drawn, also),
+        parts={**parts, **further},
+        reference=reference,
+        missing=missing,
+        samples=len(size),
+    )
+
+
+def _squares(values: Float[np.ndarray, "s 3"]) -> Float[np.ndarray, " s"]:
+    return np.sum(np.asarray(values, float) ** 2, axis=1)
+
+
+def _ratio(apart: float, wanted: float) -> float:
+    """A relative error of sums of squares; of nothing, none."""
+    if wanted <= 0:
+        return 0.0 if apart <= 0 else float("inf")
+    return float(np.sqrt(apart / wanted))
+
+
+def _untrimmed(distance: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Of samples in rows, Σ distance² / Σ size²."""
+    return distance.sum(axis=-1) / np.maximum(size.sum(axis=-1), np.finfo(float).tiny)
+
+
+def _trimmed(distance: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """The same without the pixels that differ most."""
+    order = np.argsort(distance, axis=-1)[..., : max(round((1 - TRIM) * distance.shape[-1]), 1)]
+    return _untrimmed(np.take_along_axis(distance, order, -1), np.take_along_axis(size, order, -1))
+
+
+def _estimate(statistic, distance, size, drawn, also: float) -> Estimate:
+    """A statistic of a sample, and its interval by drawing from the sample again (Efron's bootstrap)."""
+    if not size.any():
+        value = 0.0 if not distance.any() else float("inf")
+        return Estimate(value, value, value)
+    again = np.sqrt(statistic(distance[drawn], size[drawn]) + also)
+    low, high = np.quantile(again, [_TAIL, 1 - _TAIL])
+    value = float(np.sqrt(statistic(distance, size) + also))
+    return Estimate(value, min(float(low), value), max(float(high), value))
