@@ -39,7 +39,7 @@ class Method:
 
 # How vertices reflect lobes; see `Transport.reflection`.
 REFLECTIONS = ("filtered", "factors", "traced")
-_BETWEEN_SURFACES = "light that surfaces reflect onto each other"
+BETWEEN_SURFACES = "light that surfaces reflect onto each other"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Transport(Method):
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
         """Bounces of local lights, and of all light without bounces."""
         if not self.bounces:
-            return (_BETWEEN_SURFACES,)
+            return (BETWEEN_SURFACES,)
         return ("light of local lights that surfaces reflect onto each other",) if local else ()
 
     @property
@@ -256,7 +256,7 @@ class Prefiltered(Method):
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
         """Shadows of the environment where no ray looks for them, and all bounces."""
         without_shadows = environment and not self.occlusion_resolution
-        return (*(["shadows of the environment"] if without_shadows else []), _BETWEEN_SURFACES)
+        return (*(["shadows of the environment"] if without_shadows else []), BETWEEN_SURFACES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -303,7 +303,7 @@ class Adaptive(Method):
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
         """All bounces."""
-        return (_BETWEEN_SURFACES,)
+        return (BETWEEN_SURFACES,)
 
     @property
     def samples_per_side(self) -> int:

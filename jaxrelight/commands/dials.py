@@ -16,7 +16,7 @@ from jaxrelight.methods import METHODS, Method, documentation
 HELP_ALL = "--help-all"
 # Options of commands that only some methods have, that --help-all alone lists, and that are dials as well.
 _ONLY_OF = {"store": ("transport", "indirect", "prefiltered"), "layers": ("indirect",), "maps": ("adaptive",)}
-_ADVANCED = ("modules",)
+_ADVANCED = "modules", "error_samples"
 _SHARED = ("exposure",)
 
 
@@ -99,5 +99,7 @@ def _refusal(arguments: Sequence[str], lighting: str, why: str) -> str:
         name = option.removeprefix("--").removeprefix("no-").replace("-", "_")
         owners = _ONLY_OF.get(name) or [method for method, kind in METHODS.items() if name in documentation(kind)]
         if option.startswith("--") and owners and lighting not in owners and name not in _SHARED:
-            return f"{option} is a dial of --lighting {' or '.join(owners)}; {why}"
+            *others, last = owners
+            named = f"{', '.join(others)} or {last}" if others else last
+            return f"{option} is a dial of --lighting {named}; {why}"
     return ""

@@ -21,6 +21,8 @@ Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE", h
 Modules = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="import", metavar="MODULE", help=_MODULES)
 ]
+_ERROR_SAMPLES = "Pixels at which the picture is compared with the exact reference of its lighting method; 0 for none."
+ErrorSamples = Annotated[int, tyro.conf.arg(help=_ERROR_SAMPLES)]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object at the end.")]
 
 

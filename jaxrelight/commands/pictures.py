@@ -13,6 +13,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.images.false_colour import false_colour
 from jaxrelight.images.files import check_writable, write_image, write_layers
 from jaxrelight.lighting.contract import Image, Relighter
+from jaxrelight.lighting.picture_error import PictureError
 from jaxrelight.lighting.prepare import prepare_with_build
 from jaxrelight.lights.lights import Lights
 from jaxrelight.methods import Method, Prefiltered, Transport
@@ -27,8 +28,10 @@ _TRACING = "visibility", "between", "pixels"
 _TOLD_NEGATIVE = 0.001
 
 
-def check_output(output: pathlib.Path, layers: bool) -> None:
-    """Refuses, before long work, a picture that cannot be written, and layers in another file than an EXR."""
+def check_output(output: pathlib.Path, layers: bool, error_samples: int = 0) -> None:
+    """Refuses, before long work, what cannot be written or measured, and layers in another file than an EXR."""
+    if error_samples < 0:
+        raise InputError(f"--error-samples must be at least 0, not {error_samples}")
     check_writable(output)
     if layers and output.suffix.lower() != ".exr":
         raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
@@ -102,6 +105,8 @@ def make_picture(
             write_layers(command.output, rgba, {name: np.asarray(layer) for name, layer in image.layers.items()})
         else:
             write_image(command.output, rgba, command.picture.exposure)
+    with timed(seconds, "error"):
+        error = image.measure(command.error_samples)
     left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
     notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
     negative = image.negative_share
@@ -120,11 +125,24 @@ def make_picture(
         "height": rgba.shape[0],
         "covered": float(rgba[..., 3].mean()),
         "mean_radiance": float(rgba[shown][:, :3].mean()) if shown.any() else 0.0,
+        **({} if error is None else {"error": _describe_error(error)}),
         "negative": negative,
         "lights": len(lights.local),
         "leaves_out": list(left_out),
         **({} if plan is None else _describe_plan(plan, view, command.maps)),
         **describe(relighter),
+    }
+
+
+def _describe_error(error: PictureError) -> dict:
+    """How far a picture is from its reference: `line` says it in words, the rest is for programs."""
+    return {
+        "line": str(error),
+        **{name: dataclasses.asdict(getattr(error, name)) for name in ("trimmed", "untrimmed")},
+        "parts": error.parts,
+        "reference": error.reference,
+        "not_measured": list(error.missing),
+        "samples": error.samples,
     }
 
 

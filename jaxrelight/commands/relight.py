@@ -5,7 +5,16 @@ import pathlib
 
 import tyro
 
-from jaxrelight.commands.options import Json, LightOptions, Modules, Output, PictureOptions, ViewOptions, import_modules
+from jaxrelight.commands.options import (
+    ErrorSamples,
+    Json,
+    LightOptions,
+    Modules,
+    Output,
+    PictureOptions,
+    ViewOptions,
+    import_modules,
+)
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
 from jaxrelight.timing import timed
@@ -27,6 +36,7 @@ class Relight:
     """Of a store for indirect lighting, samples of direct light along each side of a pixel; by default the store's."""
     layers: bool = False
     """Of a store for indirect lighting, write layers of the .exr, as `render` does."""
+    error_samples: ErrorSamples = 256
     modules: Modules = ()
     json: Json = False
 
@@ -39,7 +49,7 @@ class Relight:
                 from jaxrelight.progress import notes
 
                 import_modules(self.modules)
-            check_output(self.output, self.layers)
+            check_output(self.output, self.layers, self.error_samples)
             with timed(seconds, "open"):
                 relighter = open_store(self.store)
             if (self.layers or self.direct_samples is not None) and relighter.method.name != "indirect":

@@ -8,6 +8,7 @@ import tyro
 
 from jaxrelight.commands.dials import method_of
 from jaxrelight.commands.options import (
+    ErrorSamples,
     Json,
     LightOptions,
     Modules,
@@ -47,6 +48,7 @@ class Render:
     """Write direct light, indirect light by its last reflection and each light as layers of the .exr."""
     maps: pathlib.Path | None = None
     """A folder for pictures of what was planned: bandwidth, levels, samples and predicted error."""
+    error_samples: ErrorSamples = 256
     modules: Modules = ()
     json: Json = False
 
@@ -60,7 +62,7 @@ class Render:
 
                 import_modules(self.modules)
             method = method_of(self, exposure=self.picture.exposure)
-            check_output(self.output, self.layers)
+            check_output(self.output, self.layers, self.error_samples)
             with timed(seconds, "load"):
                 scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
                 scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))

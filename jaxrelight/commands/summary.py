@@ -46,6 +46,8 @@ def summarize(summary: dict, as_json: bool) -> None:
 
 def _words(name: str, value) -> str:
     """A value as people read it: the name tells its unit."""
+    if isinstance(value, dict) and "line" in value:
+        return value["line"]
     if isinstance(value, dict):
         # Names that the scene or the disk gives stay as they are.
         given = name in ("meshes", "materials", "bytes")

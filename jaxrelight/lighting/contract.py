@@ -2,7 +2,7 @@
 
 import abc
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
@@ -11,10 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.antialiasing import averaged
+from jaxrelight.lighting.picture_error import Pictured, PictureError, measured_error
+from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, kept_reference
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Method
+from jaxrelight.numerics.arrays import is_traced
 from jaxrelight.progress import Report
 
 
@@ -32,6 +36,34 @@ class Image(eqx.Module):
     alpha: Float[Array, "h w"]
     layers: dict[str, Float[Array, "h w 3"]] = eqx.field(default_factory=dict)
     measured: dict[str, Any] = eqx.field(default_factory=dict)
+
+    @property
+    def error(self) -> PictureError | None:
+        """How far the picture is from its method's exact reference, on a sample of its pixels; see `Relighter.error`.
+
+        Raises:
+            InputError: for a picture that went through a compiled function, or that is traced.
+        """
+        return self.measure(ERROR_SAMPLES)
+
+    def measure(self, samples: int) -> PictureError | None:
+        """`error` on so many pixels. Measured when it is asked for, which casts a view's rays once.
+
+        Args:
+            samples: pixels that are compared; 0 for none.
+
+        Raises:
+            InputError: for a picture that went through a compiled function, or that is traced.
+        """
+        measure = self.__dict__.get("_measure")
+        if measure is None:
+            raise InputError("a picture of a compiled function does not measure itself; ask relighter.error for it")
+        return measure(samples)
+
+    def measured_by(self, measure: Callable[[int], PictureError | None]) -> "Image":
+        """The picture, with what measures its error: kept beside the pytree, of which no program depends on it."""
+        object.__setattr__(self, "_measure", functools.cache(measure))
+        return self
 
     @property
     def negative_share(self) -> float:
@@ -123,6 +155,70 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
     @abc.abstractmethod
     def background(self, lit: LitT, view: ViewT) -> Float[Array, "h w 3"]:
         """Radiance of the environment behind the surfaces, times 1 − alpha; zeros where there is none."""
+
+    def _measuring(self, image: Image, lit: LitT, view: ViewT) -> Image:
+        """The picture, which measures its error when it is asked for it."""
+        if isinstance(image.radiance, jax.core.Tracer):
+            return image
+        # Without the layers, and without a cycle.
+        bare = Image(image.radiance, image.alpha)
+        return image.measured_by(lambda samples: self.error(bare, lit, view, samples=samples))
+
+    @abc.abstractmethod
+    def reference(self, view: ViewT, samples: int, seed: int) -> Reference:
+        """What pictures of a view are measured against. Casts rays on the host.
+
+        Args:
+            view: from `view`.
+            samples: pixels of the view, or all where there are no more.
+            seed: of their choice.
+        """
+
+    @abc.abstractmethod
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: LitT, reference: Reference) -> Pictured:
+        """What a picture has of the radiance that a reference tells, by the same means, and what it has beside.
+
+        Args:
+            radiance: of the picture, at the reference's pixels.
+            lit: from `light`.
+            reference: from `reference`.
+        """
+
+    def not_measured(self, lit: LitT) -> tuple[str, ...]:
+        """What a reference does not tell, in words."""
+        return ()
+
+    def error(
+        self, image: Image, lit: LitT, view: ViewT, *, samples: int = ERROR_SAMPLES, seed: int = 0
+    ) -> PictureError | None:
+        """How far a picture is from the method's exact reference, on a sample of its own pixels.
+
+        A view's rays are cast once and kept; afterwards each light costs a product.
+
+        Args:
+            image: the picture.
+            lit: its light.
+            view: its view.
+            samples: pixels that are compared; 0 for none.
+            seed: of their choice.
+
+        Returns:
+            The error; None for no samples, or where no surface is seen.
+
+        Raises:
+            InputError: for what is traced.
+        """
+        if is_traced((image, lit, view)):
+            raise InputError("the error of a picture is measured on numbers that are known; ask for it outside of jit")
+        if not samples or not np.asarray(image.alpha).any():
+            return None
+        leaves = jax.tree.leaves(self)
+        key = samples, seed, tuple(map(id, leaves))
+        reference = kept_reference(view, key, leaves, lambda: self.reference(view, samples, seed))
+        radiance = np.asarray(image.radiance).reshape(-1, 3)[reference.pixels]
+        exact, pictured = reference.radiance(lit), self.pictured(radiance, lit, reference)
+        further, missing = reference.further(lit, exact), self.not_measured(lit)
+        return measured_error(radiance, pictured, exact, further, reference.name, missing)
 
     def picture(
         self, lights: LightsLike = None, camera: Camera | None = None, *, background: bool = True

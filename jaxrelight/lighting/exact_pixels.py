@@ -40,11 +40,12 @@ class ExactPixels(eqx.Module):
     """Exact transport of the pixels of a picture of a single row.
 
     Attributes:
-        rows: radiance by the light of texels, of each means by which pictures have it; all of them add up.
+        rows: radiance by the light of texels, of each channel, and of each means by which pictures have it; all of
+            them add up.
         resolution: side of the cube map's faces.
     """
 
-    rows: dict[str, Float[Array, "s 3 d"]]
+    rows: dict[str, Float[Array, "3 s d"]]
     resolution: int = eqx.field(static=True)
 
     def radiance(self, environment: Environment) -> dict[str, Float[np.ndarray, "s 3"]]:
@@ -93,14 +94,15 @@ def exact_pixels(
         mine = slice(int(part.start), int(part.start) + length)
         for means, component in named:
             baked = _rows(jnp.asarray(bits[mine]), component.brdf, component.weight, part.pixels, directions)
-            held = rows.setdefault(means, np.zeros((count + 1, 3, 6 * resolution**2), np.float32))
-            # Filling goes past the end.
-            held[np.minimum(pixel, count)] += np.asarray(baked)
-    return ExactPixels({means: jax.device_put(of[:count]) for means, of in rows.items()}, resolution)
+            held = rows.setdefault(means, np.zeros((3, count, 6 * resolution**2), np.float32))
+            # Without filling.
+            real = np.flatnonzero(pixel < count)
+            held[:, pixel[real]] += np.asarray(baked)[:, real]
+    return ExactPixels({means: jax.device_put(of) for means, of in rows.items()}, resolution)
 
 
 @jax.jit
-def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions) -> Float[Array, "p 3 d"]:
+def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions) -> Float[Array, "3 p d"]:
     if isinstance(brdf, PackedLobes):
         own = brdf.at(pixels.uv, pixels.footprint)
         reflection = FixedView(jax.tree.map(lambda _: None, own), pixels.omega_o, own)
@@ -109,13 +111,14 @@ def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions) -> Floa
     side = round((len(directions.vectors) // 6) ** 0.5)
     rows = bake.bake_rows(bits, pixels.frame, reflection, directions, Texels(side))[:, 0]
     factor = jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
-    shape = len(rows), 3, rows.shape[-1]
-    return jnp.broadcast_to(rows, shape) * jnp.broadcast_to(factor[:, :, None], (len(rows), 3, 1))
+    by_channel = jnp.broadcast_to(rows, (len(rows), 3, rows.shape[-1])).swapaxes(0, 1)
+    return by_channel * jnp.broadcast_to(factor, (len(rows), 3)).T[:, :, None]
 
 
 @jax.jit
-def _applied(rows: Float[Array, "s 3 d"], texels: Float[Array, "d 3"]) -> Float[Array, "s 3"]:
-    return jnp.einsum("scd,dc->sc", rows, texels, precision="highest")
+def _applied(rows: Float[Array, "3 s d"], texels: Float[Array, "d 3"]) -> Float[Array, "s 3"]:
+    # Product by product, as they lie in memory.
+    return jnp.stack([jnp.matmul(rows[c], texels[:, c], precision="highest") for c in range(3)], axis=1)
 
 
 @jax.jit

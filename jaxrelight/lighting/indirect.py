@@ -18,6 +18,9 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.every_link import MEANS, EveryLink, encoded
+from jaxrelight.lighting.picture_error import Pictured
+from jaxrelight.lighting.reference import Reference
 from jaxrelight.lighting.shadows import (
     LightGroup,
     SurfacePoints,
@@ -269,7 +272,31 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
             "direct": self._direct(lit, view, traced),
             "indirect": self._smooth(self.final_gather(lit.cloud, view), view),
         }
-        return Image(layers["direct"] + layers["indirect"], self.alpha(view), layers)
+        image = Image(layers["direct"] + layers["indirect"], self.alpha(view), layers)
+        return self._measuring(image, lit, view)
+
+    def reference(self, view: IndirectView, samples: int, seed: int) -> Reference:
+        """What the pixels gather from every point of the cloud."""
+        return EveryLink(self.precomputed, view.pixels, samples, seed)
+
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: IndirectLight, reference: Reference) -> Pictured:
+        """What pixels gather by links and kept coefficients.
+
+        The rest is the picture's own: its pixels are means of what several samples see.
+        """
+        sample = reference.sample
+        terms = self.pixels.terms(self._encoded(lit.cloud))
+        gathered, emission = (
+            np.asarray(self.pixels.shade_terms(of, sample))[0]
+            for of in (terms, tuple(jnp.zeros_like(part) for part in terms))
+        )
+        own = gathered - emission
+        return Pictured({MEANS: own}, radiance - own)
+
+    def not_measured(self, lit: IndirectLight) -> tuple[str, ...]:
+        """What is reflected on its way to the points otherwise than by them."""
+        between = ("what the cloud's points get from each other",) if self.method.bounces > 1 else ()
+        return (*between, *self.method.leaves_out(lit.environment is not None, bool(lit.groups)))
 
     def layers(self, lights: LightsLike, view: IndirectView, bounces: int | None = None) -> Image:
         """The picture with all of its layers, which add up; and again, of each light.
@@ -292,7 +319,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
             layers[f"light{number}"] = self.shade(self.light(light, bounces), view).radiance - none
         if lights.environment is not None:
             layers["sky"] = self.shade(self.light(lights.environment, bounces), view).radiance - none
-        return Image(radiance, self.alpha(view), layers)
+        return self._measuring(Image(radiance, self.alpha(view), layers), lit, view)
 
     def alpha(self, view: IndirectView) -> Float[Array, "h w"]:
         """The share of each pixel's samples that show a surface."""
@@ -317,7 +344,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         return joined(black, radiance, view.nearest)
 
     def _encoded(self, light: Float[Array, "g c"]) -> Float[Array, "g c"]:
-        return _encode(self.transport.basis, light)
+        return encoded(self.transport.basis, light)
 
 
 def _factor(view: IndirectView) -> int:
@@ -352,11 +379,6 @@ def _irradiance(irradiance, points: SurfacePoints, lights, bits):
 @jax.jit
 def _reflected(irradiance, albedo, emission):
     return albedo / np.pi * irradiance + emission
-
-
-@jax.jit
-def _encode(basis, light):
-    return basis.encode(light.T).T
 
 
 @jax.jit

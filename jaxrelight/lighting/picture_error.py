@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -62,15 +63,26 @@ def drawn_pixels(pixels: Int[np.ndarray, " n"], count: int, seed: int = 0) -> In
     """
     if len(pixels) <= count:
         return pixels
-    ends = np.linspace(0, len(pixels), count + 1)
-    place = ends[:-1] + np.random.default_rng(seed).random(count) * np.diff(ends)
-    return pixels[np.minimum(place.astype(int), len(pixels) - 1)]
+    ends = np.linspace(0, len(pixels), count + 1).astype(int)
+    return pixels[np.random.default_rng(seed).integers(ends[:-1], ends[1:])]
+
+
+class Pictured(NamedTuple):
+    """What a picture has at a sample of its pixels.
+
+    Attributes:
+        by_means: radiance that a reference tells, by the means that the picture has it by.
+        alike: radiance that is taken as it is, without the picture's own pixels where it can be had without them.
+    """
+
+    by_means: dict[str, Float[np.ndarray, "s 3"]]
+    alike: Float[np.ndarray, "s 3"]
 
 
 def measured_error(
-    pictured: Mapping[str, Float[np.ndarray, "s 3"]],
+    radiance: Float[np.ndarray, "s 3"],
+    pictured: Pictured,
     exact: Mapping[str, Float[np.ndarray, "s 3"]],
-    alike: Float[np.ndarray, "s 3"],
     further: Mapping[str, float],
     reference: str,
     missing: tuple[str, ...] = (),
@@ -78,16 +90,16 @@ def measured_error(
     """The error of the whole picture, as a sample tells it.
 
     Args:
-        pictured: radiance of the sample's pixels, by means.
-        exact: the same of the reference.
-        alike: radiance that both have.
+        radiance: of the sample's pixels.
+        pictured: what it consists of.
+        exact: radiance of the reference, by the same means.
         further: relative errors that both have, by name, added by squares.
         reference: what it is.
         missing: what is not measured.
     """
-    wanted = alike + sum(exact.values(), np.zeros_like(alike))
-    apart = {means: pictured[means] - exact[means] for means in pictured}
-    distance, size = (_squares(of) for of in (sum(apart.values(), np.zeros_like(alike)), wanted))
+    wanted = pictured.alike + sum(exact.values(), np.zeros_like(pictured.alike))
+    apart = {means: of - exact[means] for means, of in pictured.by_means.items()}
+    distance, size = _squares(radiance - wanted), _squares(wanted)
     also = float(np.sum(np.square(list(further.values())))) if further else 0.0
     keep = distance <= np.quantile(distance, 1 - TRIM)
     parts = {means: _ratio(_squares(of)[keep].sum(), size[keep].sum()) for means, of in apart.items()}
@@ -113,12 +125,12 @@ def _ratio(apart: float, wanted: float) -> float:
     return float(np.sqrt(apart / wanted))
 
 
-def _untrimmed(distance: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _untrimmed(distance: Float[np.ndarray, "*b s"], size: Float[np.ndarray, "*b s"]) -> Float[np.ndarray, "*b"]:
     """Of samples in rows, Σ distance² / Σ size²."""
-    return distance.sum(axis=-1) / np.maximum(size.sum(axis=-1), np.finfo(float).tiny)
+    return np.asarray(distance.sum(axis=-1) / np.maximum(size.sum(axis=-1), np.finfo(float).tiny))
 
 
-def _trimmed(distance: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _trimmed(distance: Float[np.ndarray, "*b s"], size: Float[np.ndarray, "*b s"]) -> Float[np.ndarray, "*b"]:
     """The same without the pixels that differ most."""
     order = np.argsort(distance, axis=-1)[..., : max(round((1 - TRIM) * distance.shape[-1]), 1)]
     return _untrimmed(np.take_along_axis(distance, order, -1), np.take_along_axis(size, order, -1))

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
@@ -22,18 +22,24 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
+from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.filtered_lobes import Horizon, LobeMean, lobe_radiance
+from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
+from jaxrelight.lighting.reference import ExactTransport, Reference
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import Corners, SurfaceMaterial, VisibleSurfaces, corners_of, trace_view
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
-from jaxrelight.methods import Prefiltered
+from jaxrelight.methods import BETWEEN_SURFACES, Prefiltered
 from jaxrelight.numerics.numbers import Number
 from jaxrelight.precomputation.vertex_occlusion import VertexOcclusion
 from jaxrelight.transport.filtered_visibility import FilteredVisibility
 from jaxrelight.transport.model import SceneGeometry
+
+# What is measured of pictures, and the resolution of exact transport that they are compared with.
+_MEANS, _REFERENCE_RESOLUTION = "filtered light and visibility", 64
 
 
 class PrefilteredLight(NamedTuple):
@@ -111,20 +117,52 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
     ) -> Image:
         """Radiance under the filtered environment, with what hides it from vertices, and under local lights."""
         traced = self.trace(lit, view) if traced is None else traced
-        method, sky, under = self.method, lit.environment, None
-        if lit.maps is not None and sky is not None:
-            under = shade_environment(
-                self.materials,
-                view,
-                lit.maps,
-                sky.rotate_y,
-                sky.scale,
-                method.horizon,
-                method.texels,
-                None if self.occlusion is None else self.occlusion.visibility,
-            )
-        direct = shade_lights(self.materials, view, lit.groups, traced, method.texels)
-        return image_of((under, direct, view.emission(self.materials)), view.covered)
+        under = self._under_environment(lit, view)
+        direct = shade_lights(self.materials, view, lit.groups, traced, self.method.texels)
+        image = image_of((under, direct, view.emission(self.materials)), view.covered)
+        return self._measuring(image, lit, view)
+
+    def reference(self, view: VisibleSurfaces, samples: int, seed: int) -> Reference:
+        """Exact transport of the view's pixels, without bounces."""
+
+        def taken(chosen: Int[np.ndarray, " s"]) -> tuple[VisibleSurfaces, VisibleSurfaces]:
+            some = view.taken(chosen)[0]
+            return some, some
+
+        def named(number: int) -> list[NamedComponent]:
+            return [NamedComponent(_MEANS, component) for component in self.materials[number].components]
+
+        return ExactTransport(view, taken, named, _REFERENCE_RESOLUTION, samples, seed)
+
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: PrefilteredLight, reference: Reference) -> Pictured:
+        """All light of the environment, and local lights and emission beside it."""
+        sample = reference.sample
+        whole = np.asarray(self.shade(lit, sample).radiance)[0]
+        under = self._under_environment(lit, sample)
+        if under is None:
+            return Pictured({}, whole)
+        own = np.asarray(under)[0]
+        return Pictured({_MEANS: own}, whole - own)
+
+    def not_measured(self, lit: PrefilteredLight) -> tuple[str, ...]:
+        """Light that surfaces reflect onto each other."""
+        return (BETWEEN_SURFACES,)
+
+    def _under_environment(self, lit: PrefilteredLight, view: VisibleSurfaces) -> Float[Array, "h w 3"] | None:
+        """Radiance under the filtered environment; None without one."""
+        method, sky = self.method, lit.environment
+        if lit.maps is None or sky is None:
+            return None
+        return shade_environment(
+            self.materials,
+            view,
+            lit.maps,
+            sky.rotate_y,
+            sky.scale,
+            method.horizon,
+            method.texels,
+            None if self.occlusion is None else self.occlusion.visibility,
+        )
 
     def background(self, lit: PrefilteredLight, view: VisibleSurfaces) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""

@@ -33,10 +33,15 @@ class Reference(abc.ABC):
 
     @abc.abstractmethod
     def radiance(self, lit: Any) -> Mapping[str, Float[np.ndarray, "s 3"]]:
-        """Under a light, by the means that the picture has them by."""
+        """Under a light, by the means that the picture has it by."""
 
-    def further(self, lit: Any) -> dict[str, float]:
-        """Relative errors that the picture shares with the reference, by name."""
+    def further(self, lit: Any, radiance: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, float]:
+        """Relative errors that the picture shares with the reference, by name.
+
+        Args:
+            lit: the light.
+            radiance: under it, from `radiance`.
+        """
         return {}
 
 
@@ -84,13 +89,12 @@ class ExactTransport(Reference):
         environment: Environment | None = lit.environment
         return {} if environment is None else self._exact.radiance(environment)
 
-    def further(self, lit: Any) -> dict[str, float]:
+    def further(self, lit: Any, radiance: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, float]:
         """What rays and texels that are finer change."""
-        if lit.environment is None or not len(self._few):
+        if lit.environment is None or not radiance:
             return {}
-        coarse, fine = (
-            np.sum(list(of.values()), axis=0) for of in (self.radiance(lit), self._finer.radiance(lit.environment))
-        )
+        fine = self._finer.radiance(lit.environment)
+        coarse, fine = (np.sum(list(of.values()), axis=0) for of in (radiance, fine))
         size = np.linalg.norm(fine)
         return {FINER: float(np.linalg.norm(fine - coarse[self._few]) / size)} if size > 0 else {}
 

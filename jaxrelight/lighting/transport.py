@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.lobes import LobeSum
@@ -22,9 +22,12 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
 from jaxrelight.lighting.lobe_rays import traced_shares
+from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
+from jaxrelight.lighting.reference import ExactTransport, Reference
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.visible_surfaces import (
@@ -44,7 +47,7 @@ from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import Operator, Summed
+from jaxrelight.operators.contract import Operator, Summed, parts_of
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
@@ -71,6 +74,12 @@ class TransportView(eqx.Module):
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.surfaces.shape
+
+    def taken(self, chosen: Int[np.ndarray, " s"]) -> "TransportView":
+        """A view of some of the pixels alone; see `VisibleSurfaces.taken`."""
+        surfaces, every = self.surfaces.taken(chosen)
+        corners = tuple(some.of(self.corners[some.part]) for some in every)
+        return TransportView(surfaces, corners, tuple(some.of(self.shares[some.part]) for some in every))
 
 
 class TransportLight(NamedTuple):
@@ -294,7 +303,55 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         traced = self.trace(lit, view) if traced is None else traced
         direct = shade_lights(self.materials, view.surfaces, lit.groups, traced)
         parts = self.shade_terms(lit.terms, view), self.shade_lobes(lit, view), direct
-        return image_of(parts, view.surfaces.covered)
+        return self._measuring(image_of(parts, view.surfaces.covered), lit, view)
+
+    def reference(self, view: TransportView, samples: int, seed: int) -> Reference:
+        """Exact transport of the view's pixels, without bounces."""
+
+        def taken(chosen: Int[np.ndarray, " s"]) -> tuple[TransportView, VisibleSurfaces]:
+            some = view.taken(chosen)
+            return some, some.surfaces
+
+        def named(number: int) -> list[NamedComponent]:
+            material = self.materials[number]
+            own = _direct_parts(material.name, self.transport)
+            return [
+                NamedComponent(means_of(part, self.method.receivers), component)
+                for part, component in zip(own, material.components, strict=True)
+            ]
+
+        return ExactTransport(view.surfaces, taken, named, self.method.resolution, samples, seed)
+
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: TransportLight, reference: Reference) -> Pictured:
+        """Direct light of the environment by filtered lobes, and by the rows of each kind of reflection."""
+        sample = reference.sample
+        whole = np.asarray(self.shade(lit, sample).radiance)[0]
+        if lit.environment is None:
+            return Pictured({}, whole)
+        blocks, terms = self.transport.blocks, lit.terms
+        if self.method.bounces:
+            direct = [parts_of(block.operator)[0] if block.has_direct else block.operator for block in blocks]
+            blocks = tuple(
+                dataclasses.replace(block, operator=operator, emitted=None)
+                for block, operator in zip(blocks, direct, strict=True)
+            )
+            alone = TransportRelighter(dataclasses.replace(self.transport, blocks=blocks))
+            terms = alone.light(lit.environment).terms
+        receivers = self.method.receivers
+        means = {number: means_of(block, receivers) for number, block in enumerate(blocks) if block.has_direct}
+        nothing = tuple(jnp.zeros_like(of) for of in terms)
+        emission, by_means = np.asarray(self.shade_terms(nothing, sample))[0], {}
+        for name in dict.fromkeys(means.values()):
+            own = tuple(of if means.get(number) == name else nothing[number] for number, of in enumerate(terms))
+            by_means[name] = np.asarray(self.shade_terms(own, sample))[0] - emission
+        lobes = self.shade_lobes(lit, sample)
+        if lobes is not None:
+            by_means[means_of(self.transport.lobes[0], receivers)] = np.asarray(lobes)[0]
+        return Pictured(by_means, whole - sum(by_means.values(), np.zeros_like(whole)))
+
+    def not_measured(self, lit: TransportLight) -> tuple[str, ...]:
+        """What bounces bring."""
+        return ("what bounces bring",) if self.method.bounces else ()
 
     def shade_lobes(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"] | None:
         """Direct light of an environment that filtered lobes reflect: filtered light times filtered visibility.
@@ -353,13 +410,26 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return behind(surfaces.background(lit.environment), surfaces.covered)
 
 
+def means_of(part: Block | FilteredLobes, receivers: str) -> str:
+    """What makes direct light of one BRDF other than exact, as messages call it."""
+    if isinstance(part, FilteredLobes):
+        return "lobes and their visibility"
+    if receivers == "pixels":
+        return "coefficients"
+    return "coefficients and interpolation" if part.reflection.is_constant else "factors"
+
+
+def _direct_parts(name: str, transport: PrecomputedTransport) -> list[Block | FilteredLobes]:
+    """What has the direct light of a material: filtered lobes whose bounces are a block are the same BRDF."""
+    parts = [part for part in (*transport.blocks, *transport.lobes) if part.material == name]
+    return [part for part in parts if isinstance(part, FilteredLobes) or part.has_direct]
+
+
 def _material(name: str, transport: PrecomputedTransport) -> SurfaceMaterial:
     """Puts a material together from its blocks and lobes."""
     parts = [part for part in (*transport.blocks, *transport.lobes) if part.material == name]
     emission = next((part.emission for part in parts if part.emission is not None), None)
-    # Filtered lobes whose bounces are a block are the same BRDF.
-    own = [part for part in parts if isinstance(part, FilteredLobes) or part.has_direct]
-    components = tuple(surface_component(part.brdf, part.weight) for part in own)
+    components = tuple(surface_component(part.brdf, part.weight) for part in _direct_parts(name, transport))
     return SurfaceMaterial(name, components, emission)
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,7 +24,11 @@ from jaxrelight.lighting.pixels import SurfacePixels, assembled, padded, places
 from jaxrelight.lighting.shadows import SurfacePoints, surface_points
 from jaxrelight.lights.environment import Environment
 from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.buckets import bucket, filled_up
 from jaxrelight.transport.model import SceneGeometry
+
+# The fewest pixels of a material that are held where few are taken of a view.
+_FEW_PIXELS = 32
 
 
 class SurfaceComponent(eqx.Module):
@@ -71,6 +76,22 @@ def surface_component(
 ) -> SurfaceComponent:
     """One BRDF of a material as pixels ask for it; see `surface_material`."""
     return SurfaceComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, weight)
+
+
+class TakenRows(NamedTuple):
+    """The pixels that a part has of another view's.
+
+    Attributes:
+        part: number of the other view's part.
+        rows: of that, filled up with the first.
+    """
+
+    part: int
+    rows: Int[np.ndarray, " p"]
+
+    def of(self, arrays: Any) -> Any:
+        """Those rows of all arrays of a pytree."""
+        return jax.tree.map(lambda of: as_array(np.asarray(of)[self.rows]), arrays)
 
 
 class SurfacePart(eqx.Module):
@@ -128,6 +149,47 @@ class VisibleSurfaces(eqx.Module):
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.covered.shape  # pyright: ignore[reportReturnType]
+
+    @property
+    def pixels(self) -> Int[np.ndarray, " n"]:
+        """The places in the flattened picture of those that show a material, ascending."""
+        every = [np.asarray(part.pixels.pixel) for part in self.parts]
+        joined = np.sort(np.concatenate([np.zeros(0, int), *every]))
+        return joined[joined < self.covered.size]
+
+    def taken(self, chosen: Int[np.ndarray, " s"]) -> tuple["VisibleSurfaces", list[TakenRows]]:
+        """Some of the pixels alone, as a picture of a single row in their order.
+
+        Args:
+            chosen: their places in the flattened picture, of `pixels`.
+
+        Returns:
+            The picture of them, and which rows of this one's parts its own have.
+        """
+        place = np.full(self.covered.size + 1, -1)
+        place[chosen] = np.arange(len(chosen))
+        parts, corners, rows, starts, end = [], [], [], [], 0
+        for number, part in enumerate(self.parts):
+            old = np.asarray(part.pixels.pixel)
+            new = place[np.minimum(old, self.covered.size)]
+            mine = np.flatnonzero(new >= 0)
+            if not len(mine):
+                continue
+            length = bucket(len(mine), _FEW_PIXELS)
+            filled = np.concatenate([mine, np.full(length - len(mine), mine[0])])
+            some = TakenRows(number, filled)
+            places_of = filled_up(new[mine].astype(np.int32), length, len(chosen))
+            pixels = dataclasses.replace(some.of(part.pixels), pixel=as_array(places_of))
+            parts.append(SurfacePart(part.material, pixels, as_array(end, np.int32)))
+            if self.corners:
+                corners.append(some.of(self.corners[number]))
+            rows.append(some)
+            starts.append(int(part.start) + filled)
+            end += length
+        points = self.points.taken(np.concatenate([np.zeros(0, int), *starts]))
+        seen = [as_array(np.asarray(of).reshape(-1)[None, chosen]) for of in (self.covered, self.u, self.v)]
+        place_of = places([part.pixels for part in parts], len(chosen))
+        return VisibleSurfaces(tuple(parts), points, place_of, *seen, tuple(corners)), rows
 
     def image(self, rows: Sequence[Float[Array, "_ c"]]) -> Float[Array, "h w c"]:
         """What the pixels of each part show; 0 where no surface is seen."""

@@ -5,7 +5,7 @@ import dataclasses
 from jaxrelight.methods import METHODS
 
 DIALS_OF = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in METHODS.items()}
-_NAMED = "materials", "meshes", "filtered_lobes"
+_NAMED = "materials", "meshes", "filtered_lobes", "parts"
 
 
 def _of_group(name: str, *keys: str) -> set[str]:
@@ -24,7 +24,9 @@ TRANSPORT |= _of_group("bytes", "geometry", "environment", "visibility", "factor
 INDIRECT = BUILD | _of_group("seconds", "cloud", "between", "pixels")
 INDIRECT |= _of_group("bytes", "geometry", "cloud", "albedo", "between", "indirect", "factors", "lights")
 PICTURE = {"picture", "width", "height", "covered", "mean_radiance", "negative", "lights", "leaves_out"}
-PICTURE |= _of_group("seconds", "view", "light", "shade", "write")
+PICTURE |= _of_group("seconds", "view", "light", "shade", "write", "error")
+PICTURE |= _of_group("error", "line", "parts.*", "reference", "not_measured", "samples")
+PICTURE |= {f"error.{name}.{key}" for name in ("trimmed", "untrimmed") for key in ("value", "low", "high")}
 NOW = PICTURE | _of_group("seconds", "imports", "load", "prepare", "total")
 RELIT = STORE - {"receivers"} | PICTURE | _of_group("seconds", "imports", "open", "environment", "total")
 PLAN = {"samples", "shaded"} | _of_group("predicted_error", "between_pixels", "samples")

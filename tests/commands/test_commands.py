@@ -474,3 +474,16 @@ def test_lobes_are_fitted_where_lobes_are_filtered(folder, run, monkeypatch, dia
     assert status == 0
     assert bool(asked) == is_fitted
     assert ("note: gloss: told of its fit" in err) == is_fitted
+
+
+def test_the_error_of_a_picture_is_told_unless_it_is_not_wanted(folder, run, made):
+    code, out, _ = run("relight", "made", "-o", "out.png", "--json", "--error-samples", "40")
+    assert code == 0
+    error = json.loads(out)["error"]
+    assert error["samples"] == 40
+    assert 0 <= error["trimmed"]["low"] <= error["trimmed"]["value"] <= error["trimmed"]["high"] < 1
+    assert f"from {error['reference']}: " in error["line"]
+    code, out, _ = run("relight", "made", "-o", "out.png", "--error-samples", "0")
+    assert code == 0
+    assert "error" not in out.replace("--error-samples", "").split("seconds")[0]
+    refusal_of(run("relight", "made", "-o", "out.png", "--error-samples", "-1"))

@@ -154,7 +154,10 @@ INDIRECT = "; this scene has local lights alone, so the lighting method is indir
             "render sky.toml --lighting adaptive --resolution 8",
             "--resolution is a dial of --lighting transport; this is --lighting adaptive\n",
         ),
-        ("render sky.toml --lighting=prefiltered --store x", "--store is a dial of --lighting transport or indirect"),
+        (
+            "render sky.toml --lighting=adaptive --store x",
+            "--store is a dial of --lighting transport, indirect or prefiltered",
+        ),
         ("render sky.toml --lighting prefiltered --resolution=8", "--resolution is a dial of --lighting transport"),
         ("render sky.toml --lighting adaptive --photons 8", "--photons is a dial of --lighting indirect"),
         ("render sky.toml --lighting adaptive --layers", "--layers is a dial of --lighting indirect"),

@@ -119,6 +119,36 @@ def test_the_steps_are_the_picture(relighter, traced_once):
     np.testing.assert_array_equal(relighter.picture([]), np.concatenate([0 * image, alpha[..., None]], axis=2))
 
 
+def test_every_picture_measures_its_error(relighter, traced_once):
+    """Of rays that are cast once a view; a picture that is wrong by a half is told to be."""
+    view, lit, traced, _ = traced_once
+    picture = relighter.shade(lit, view, traced)
+    error = picture.error
+    assert error is not None
+    assert 0 <= error.trimmed.low <= error.trimmed.value <= error.trimmed.high < 0.3
+    assert error.trimmed.value <= error.untrimmed.value <= error.untrimmed.high
+    assert error.parts
+    assert error.reference in str(error)
+    assert 50 < error.samples <= np.count_nonzero(picture.alpha)
+    assert picture.measure(0) is None
+    few = picture.measure(20)
+    assert few is not None
+    assert few.samples == 20
+    if not isinstance(relighter.method, Indirect):
+        wrong = relighter.error(jr.Image(1.5 * picture.radiance, picture.alpha), lit, view)
+        assert 0.3 < wrong.untrimmed.value < 0.7
+    # A jitted function gives a picture that was never measured.
+    through = jax.jit(lambda of: of)(picture)
+    with pytest.raises(InputError, match=r"ask relighter\.error for it"):
+        through.error  # noqa: B018
+    assert relighter.error(through, lit, view) == error
+    # Another light casts no rays of the reference, and where there is none nothing is wrong.
+    reference = view.__dict__["_reference"].reference
+    assert relighter.shade(relighter.light(lights(1)), view).error.samples == error.samples
+    assert view.__dict__["_reference"].reference is reference
+    assert relighter.shade(relighter.light([]), view).error.untrimmed.value == 0
+
+
 def test_rays_inside_of_jit_are_those_outside(relighter, traced_once):
     """Shadow rays towards local lights are one callback."""
     view, lamps = traced_once[0], [lights(0)[1], jr.directional([0.3, -1, 0.2], 1.0), jr.point([-1, 1, 0], 2.0)]

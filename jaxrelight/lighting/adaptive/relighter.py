@@ -20,6 +20,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate, estimate_listed, list_work
 from jaxrelight.lighting.adaptive.layer_estimates import calibrate, estimate_layer, looked_up
+from jaxrelight.lighting.adaptive.many_samples import MEANS, ManySamples
 from jaxrelight.lighting.adaptive.planning import Plan, make_plan
 from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw, predict
 from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
@@ -27,8 +28,10 @@ from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, sc
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
+from jaxrelight.lighting.picture_error import Pictured
+from jaxrelight.lighting.reference import Reference
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
-from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial
+from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial, VisibleSurfaces
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.environment_mipmap import EnvironmentMipmap, environment_mipmap
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
@@ -225,7 +228,49 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
             under = self._by_samples(lit.mipmap, view, plan, traced.work, report)
         direct = shade_lights(self.materials, surfaces, lit.groups, traced.visibility)
         image = image_of((under, direct, surfaces.emission(self.materials)), surfaces.covered, view.factor)
-        return dataclasses.replace(image, measured={"plan": plan}) if under is not None else image
+        image = dataclasses.replace(image, measured={"plan": plan}) if under is not None else image
+        return self._measuring(image, lit, view)
+
+    def reference(self, view: AdaptiveView, samples: int, seed: int) -> Reference:
+        """Many samples of the view's pixels."""
+        return ManySamples(self, view, samples, seed)
+
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: AdaptiveLight, reference: Reference) -> Pictured:
+        """What samples and interpolation bring: all but local lights, the sun and what surfaces emit."""
+        assert isinstance(reference, ManySamples)
+        surfaces = reference.sample
+        points = surfaces.points
+        shown = self.method.shadows
+        visibility = trace_visibility(points, lit.groups) if shown else all_visible(points, lit.groups)
+        parts = shade_lights(self.materials, surfaces, lit.groups, visibility), surfaces.emission(self.materials)
+        exact = sum(np.asarray(part)[0] for part in parts if part is not None)
+        alike = reference.in_picture(np.zeros((surfaces.covered.size, 3)) + exact)
+        return Pictured({} if lit.mipmap is None else {MEANS: radiance - alike}, alike)
+
+    def not_measured(self, lit: AdaptiveLight) -> tuple[str, ...]:
+        """Light that surfaces reflect onto each other; shadows of the environment without any."""
+        environment, local = lit.environment is not None, bool(lit.groups)
+        return self.method.leaves_out(environment, local)
+
+    def exact_radiance(
+        self, lit: AdaptiveLight, surfaces: VisibleSurfaces, samples: int, seed: int
+    ) -> Float[np.ndarray, "s 3"]:
+        """Radiance under the environment alone, without its sun, of pixels in a row: by many samples of each."""
+        rows = []
+        for part in surfaces.parts:
+            counts = np.where(np.asarray(part.pixels.pixel) < surfaces.covered.size, samples, 0)
+            start, points = int(part.start), surfaces.points
+            radiance = jnp.zeros((len(counts), 3), part.pixels.omega_o.dtype)
+            for component in self.sampled_materials[part.material].components:
+
+                def blocked(place, towards, start=start, points=points):
+                    return points.is_occluded(start + place, towards)
+
+                hidden = blocked if self.method.shadows else None
+                own = estimate(component.sampler, _mipmap_of(lit), part.pixels, counts, seed, blocked=hidden)
+                radiance = _weighed(component.weight, part.pixels, own, radiance)
+            rows.append(radiance)
+        return np.asarray(surfaces.image(rows))[0]
 
     def background(self, lit: AdaptiveLight, view: AdaptiveView) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""

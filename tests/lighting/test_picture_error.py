@@ -1,0 +1,135 @@
+"""Errors that pictures report: against errors of whole pictures, and as samples tell those of populations."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight.images import image_error
+from jaxrelight.lighting.picture_error import Pictured, drawn_pixels, measured_error
+from jaxrelight.lighting.reference import FINER
+from tests.scenes import ball_over_floor
+
+CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.2, 0), fov_y=45, width=32, height=24)
+PAINT = jr.phong([0.4, 0.2, 0.1], 0.4, 30)
+
+
+def sky() -> jr.Environment:
+    """A few lamps of different sizes in a dim room."""
+    pixels = np.full((32, 64, 3), 0.1, np.float32)
+    pixels[6:9, 10:14], pixels[12:14, 40:42], pixels[3:4, 55:60] = (6, 5, 4), (20, 20, 30), (9, 3, 3)
+    return jr.environment(pixels)
+
+
+def scene() -> jr.Scene:
+    return ball_over_floor(PAINT, CAMERA, sky(), quads=(10, 8), height=0.36)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory):
+    return tmp_path_factory.mktemp("error") / "store"
+
+
+@pytest.fixture(scope="module")
+def exact(folder) -> jr.Image:
+    """Exact transport of every pixel."""
+    relighter = jr.prepare(scene(), jr.Transport("pixels", resolution=16, coefficients="all"), folder)
+    return relighter.shade(relighter.light(sky()), relighter.view())
+
+
+def test_exact_transport_is_its_own_reference(exact):
+    error = exact.error
+    assert error.parts["coefficients"] < 1e-5
+    np.testing.assert_allclose(error.trimmed.value, error.parts[FINER], rtol=1e-3)
+    assert 0 < error.parts[FINER] < 0.2
+
+
+@pytest.mark.parametrize(
+    "dials", [{}, {"reflection": "factors", "factor_resolution": 16}, {"reflection": "traced"}], ids=str
+)
+def test_all_pixels_tell_the_error_of_the_picture(dials, exact, folder):
+    """Where the sample is the whole picture, the error is what `image_error` says, each part of it included."""
+    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32, **dials), folder)
+    view, lit = relighter.view(), relighter.light(sky())
+    image = relighter.shade(lit, view)
+    error = image.measure(32 * 24)
+    wanted = image_error(image.rgba(), exact.rgba())
+    without = error.trimmed.value**2 - error.parts[FINER] ** 2, error.untrimmed.value**2 - error.parts[FINER] ** 2
+    np.testing.assert_allclose(np.sqrt(without), [wanted.trimmed, wanted.untrimmed], rtol=0.03)
+    means = {"coefficients and interpolation", "factors" if dials.get("reflection") == "factors" else LOBES, FINER}
+    assert set(error.parts) == means
+    assert all(0 < part < 1.2 * error.untrimmed.value for part in error.parts.values())
+
+
+LOBES = "lobes and their visibility"
+
+
+def test_bounces_are_named_and_not_counted(folder):
+    plain, bounced = (
+        jr.prepare(scene(), jr.Transport("vertices", resolution=8, bounces=bounces, factor_resolution=8), folder)
+        for bounces in (0, 1)
+    )
+    errors = [one.shade(one.light(sky()), one.view()).measure(64) for one in (plain, bounced)]
+    assert errors[0].missing == ()
+    assert errors[1].missing == ("what bounces bring",)
+    assert "not measured: what bounces bring" in str(errors[1])
+    # The same direct light is compared, and bounces make the whole brighter.
+    for means in ("coefficients and interpolation", LOBES):
+        assert 0.7 * errors[0].parts[means] < errors[1].parts[means] < 1.05 * errors[0].parts[means]
+
+
+def test_some_pixels_of_a_view_show_what_they_do_in_it(folder):
+    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, reflection="traced"), folder)
+    view, lit = relighter.view(), relighter.light([sky(), jr.point([1, 2, 1], 3.0)])
+    image = np.asarray(relighter.shade(lit, view).radiance).reshape(-1, 3)
+    chosen = view.surfaces.pixels[3::7]
+    taken = view.taken(chosen)
+    assert taken.shape == (1, len(chosen))
+    np.testing.assert_allclose(relighter.shade(lit, taken).radiance[0], image[chosen], rtol=1e-4, atol=1e-6)
+
+
+def test_a_sample_has_one_pixel_of_each_run():
+    pixels = np.arange(100, 1100)
+    chosen = drawn_pixels(pixels, 50)
+    assert len(set(chosen)) == 50
+    np.testing.assert_array_equal((chosen - 100) // 20, np.arange(50))
+    np.testing.assert_array_equal(drawn_pixels(pixels, 2000), pixels)
+    assert len(set(drawn_pixels(pixels, 700))) == 700
+    assert (drawn_pixels(pixels, 50, seed=1) != chosen).any()
+
+
+def test_intervals_hold_the_error_of_the_whole():
+    """Of populations whose errors vary as those of pictures do: few are far off."""
+    rng, inside = np.random.default_rng(0), {"trimmed": 0, "untrimmed": 0}
+    for _ in range(100):
+        size = 6000
+        wanted = rng.lognormal(0, 0.7, (size, 3))
+        apart = 0.02 * wanted * rng.lognormal(0, 1, (size, 1)) * rng.choice([-1, 1], (size, 1))
+        whole = image_error((wanted + apart)[None], wanted[None])
+        some = rng.choice(size, 256, replace=False)
+        exact = {"lamps": wanted[some]}
+        pictured = Pictured({"lamps": (wanted + apart)[some]}, np.zeros((256, 3)))
+        error = measured_error((wanted + apart)[some], pictured, exact, {}, "all pixels")
+        for name in inside:
+            interval = getattr(error, name)
+            inside[name] += interval.low <= getattr(whole, name) <= interval.high
+    assert inside["trimmed"] >= 90
+    assert inside["untrimmed"] >= 80
+
+
+def test_what_both_have_in_common_is_added_by_squares():
+    wanted = np.ones((64, 3))
+    pictured = Pictured({"a": 1.03 * wanted}, np.zeros_like(wanted))
+    error = measured_error(1.03 * wanted, pictured, {"a": wanted}, {"b": 0.04}, "truth", ("c",))
+    np.testing.assert_allclose([error.trimmed.value, error.untrimmed.value], 0.05, rtol=1e-6)
+    assert str(error) == "5 % ± 0 from truth: b 4, a 3; not measured: c"
+
+
+def test_nothing_seen_and_nothing_lit_have_no_error(folder):
+    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=8), folder)
+    away = relighter.view(dataclasses.replace(CAMERA, target=(0.4, 9, 2.5)))
+    lit = relighter.light(sky())
+    assert relighter.shade(lit, away).error is None
+    black = relighter.light(jr.environment(np.zeros((2, 4, 3), np.float32)))
+    assert relighter.shade(black, relighter.view()).error.untrimmed.value == 0
