@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.antialiasing import averaged
-from jaxrelight.lighting.picture_error import Pictured, PictureError, measured_error
-from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, kept_reference
+from jaxrelight.lighting.picture_error import Pictured, PictureError, joined, measured_error
+from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, Sample, kept_reference
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Method
 from jaxrelight.numerics.arrays import is_traced
@@ -158,7 +158,7 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
 
     def _measuring(self, image: Image, lit: LitT, view: ViewT) -> Image:
         """The picture, which measures its error when it is asked for it."""
-        if isinstance(image.radiance, jax.core.Tracer):
+        if is_traced(image.radiance):
             return image
         # Without the layers, and without a cycle.
         bare = Image(image.radiance, image.alpha)
@@ -175,13 +175,13 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         """
 
     @abc.abstractmethod
-    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: LitT, reference: Reference) -> Pictured:
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: LitT, sample: Sample) -> Pictured:
         """What a picture has of the radiance that a reference tells, by the same means, and what it has beside.
 
         Args:
-            radiance: of the picture, at the reference's pixels.
+            radiance: of the picture, at the sample's pixels.
             lit: from `light`.
-            reference: from `reference`.
+            sample: of the reference.
         """
 
     def not_measured(self, lit: LitT) -> tuple[str, ...]:
@@ -215,10 +215,15 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         leaves = jax.tree.leaves(self)
         key = samples, seed, tuple(map(id, leaves))
         reference = kept_reference(view, key, leaves, lambda: self.reference(view, samples, seed))
-        radiance = np.asarray(image.radiance).reshape(-1, 3)[reference.pixels]
-        exact, pictured = reference.radiance(lit), self.pictured(radiance, lit, reference)
-        further, missing = reference.further(lit, exact), self.not_measured(lit)
-        return measured_error(radiance, pictured, exact, further, reference.name, missing)
+        radiance = np.asarray(image.radiance).reshape(-1, 3)
+        chosen, weights = reference.samples(radiance)
+        of_samples = [radiance[sample.pixels] for sample in chosen]
+        exact = joined([sample.radiance(lit) for sample in chosen])
+        every = [self.pictured(own, lit, sample) for own, sample in zip(of_samples, chosen, strict=True)]
+        pictured = Pictured(joined([one.by_means for one in every]), np.concatenate([one.alike for one in every]))
+        missing = self.not_measured(lit)
+        own, counts = np.concatenate(of_samples), np.concatenate(weights)
+        return measured_error(own, counts, pictured, exact, reference.further(lit), reference.name, missing)
 
     def picture(
         self, lights: LightsLike = None, camera: Camera | None = None, *, background: bool = True

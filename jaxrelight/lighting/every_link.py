@@ -12,8 +12,7 @@ from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.gather.final_gather import FinalGather
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.receivers import pixel_receivers
-from jaxrelight.lighting.picture_error import drawn_pixels
-from jaxrelight.lighting.reference import Reference
+from jaxrelight.lighting.reference import Reference, Sample
 from jaxrelight.lighting.transport import TransportView
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis
@@ -45,18 +44,33 @@ class EveryLink(Reference):
             count: of the sample.
             seed: of the sample.
         """
-        transport, geometry = precomputed.transport, precomputed.stored.geometry
+        self._precomputed, self._view = precomputed, view
+        super().__init__(view.surfaces.pixels, count, seed)
+
+    def of(self, pixels: Int[np.ndarray, " s"]) -> Sample:
+        """Some pixels, by the light of the cloud."""
+        every, basis = self._gathered(pixels), self._precomputed.transport.basis
+
+        def radiance(lit: Any) -> dict[str, Float[np.ndarray, "s 3"]]:
+            light, total = np.asarray(encoded(basis, lit.cloud)), np.zeros((len(pixels), 3))
+            for own, columns, rows in every:
+                total[own] += np.einsum("mcn,nc->mc", rows, light[columns])
+            return {MEANS: total}
+
+        return Sample(pixels, self._view.taken(pixels), radiance)
+
+    def _gathered(self, pixels: Int[np.ndarray, " s"]) -> list[_Rows]:
+        """Rows of the pixels, by each BRDF of each material."""
+        precomputed = self._precomputed
+        transport, geometry, method = precomputed.transport, precomputed.stored.geometry, precomputed.method
         seen = geometry.visible
         assert seen is not None
-        self.pixels = drawn_pixels(view.surfaces.pixels, count, seed)
-        self.sample = view.taken(self.pixels)
-        receivers = pixel_receivers(_some(seen, self.pixels), _numbers(geometry.material_of_mesh))
+        receivers = pixel_receivers(_some(seen, pixels), _numbers(geometry.material_of_mesh))
         place = np.full(receivers.positions.shape[0] * receivers.positions.shape[1], -1)
-        place[receivers.slot_of] = np.arange(len(self.pixels))
+        place[receivers.slot_of] = np.arange(len(pixels))
         place = place.reshape(receivers.positions.shape[:2])
-        method, self._basis = precomputed.method, transport.basis
         gather = FinalGather(precomputed.points, geometry.tracer, 0.0, method.near, 1.0)
-        self._rows: list[_Rows] = []
+        every: list[_Rows] = []
         for number, name in enumerate(_names(geometry.material_of_mesh)):
             groups = receivers.groups_of(number)
             blocks = [block for block in transport.blocks if block.material == name]
@@ -68,19 +82,13 @@ class EveryLink(Reference):
                 own = [of_group(reflection, i) for reflection in reflections]
                 assert receivers.uv is not None
                 assert receivers.footprint is not None
-                uv, footprint = (np.asarray(of[group], np.float32) for of in (receivers.uv, receivers.footprint))
+                uv, footprint = (as_array(of[group], np.float32) for of in (receivers.uv, receivers.footprint))
                 real = np.flatnonzero(place[group] >= 0)
                 for block, gathered in zip(blocks, gather.rows(receivers, int(group), frames[i], own), strict=True):
-                    factor = np.asarray(_factors(block.weight, as_array(uv), as_array(footprint)))[real]
+                    factor = np.asarray(_factors(block.weight, uv, footprint))[real]
                     rows = gathered.rows[real, 0] * factor[:, :, None]
-                    self._rows.append(_Rows(place[group][real], gathered.columns, rows.astype(np.float32)))
-
-    def radiance(self, lit: Any) -> dict[str, Float[np.ndarray, "s 3"]]:
-        """What the pixels gather of the cloud's light."""
-        light, total = np.asarray(encoded(self._basis, lit.cloud)), np.zeros((len(self.pixels), 3))
-        for pixels, columns, rows in self._rows:
-            total[pixels] += np.einsum("mcn,nc->mc", rows, light[columns])
-        return {MEANS: total}
+                    every.append(_Rows(place[group][real], gathered.columns, rows.astype(np.float32)))
+        return every
 
 
 @jax.jit

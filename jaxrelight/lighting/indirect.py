@@ -20,7 +20,7 @@ from jaxrelight.lighting.contract import Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.every_link import MEANS, EveryLink, encoded
 from jaxrelight.lighting.picture_error import Pictured
-from jaxrelight.lighting.reference import Reference
+from jaxrelight.lighting.reference import Reference, Sample
 from jaxrelight.lighting.shadows import (
     LightGroup,
     SurfacePoints,
@@ -279,15 +279,14 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         """What the pixels gather from every point of the cloud."""
         return EveryLink(self.precomputed, view.pixels, samples, seed)
 
-    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: IndirectLight, reference: Reference) -> Pictured:
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: IndirectLight, sample: Sample) -> Pictured:
         """What pixels gather by links and kept coefficients.
 
         The rest is the picture's own: its pixels are means of what several samples see.
         """
-        sample = reference.sample
         terms = self.pixels.terms(self._encoded(lit.cloud))
         gathered, emission = (
-            np.asarray(self.pixels.shade_terms(of, sample))[0]
+            np.asarray(self.pixels.shade_terms(of, sample.view))[0]
             for of in (terms, tuple(jnp.zeros_like(part) for part in terms))
         )
         own = gathered - emission

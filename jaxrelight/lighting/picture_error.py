@@ -1,7 +1,7 @@
 """How far a picture is from its method's exact reference, measured on a sample of its own pixels."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +67,21 @@ def drawn_pixels(pixels: Int[np.ndarray, " n"], count: int, seed: int = 0) -> In
     return pixels[np.random.default_rng(seed).integers(ends[:-1], ends[1:])]
 
 
+def bright_pixels(
+    energy: Float[np.ndarray, " n"], count: int, seed: int = 0
+) -> tuple[Int[np.ndarray, " s"], Int[np.ndarray, " s"]]:
+    """Pixels drawn in proportion to the energy that they have, and how often each was; ascending.
+
+    Args:
+        energy: of each pixel, of which some is above 0.
+        count: of draws.
+        seed: of the numbers.
+    """
+    ends = np.cumsum(energy) / energy.sum()
+    drawn = (np.arange(count) + np.random.default_rng(seed).random()) / count
+    return np.unique(np.minimum(np.searchsorted(ends, drawn, side="right"), len(energy) - 1), return_counts=True)
+
+
 class Pictured(NamedTuple):
     """What a picture has at a sample of its pixels.
 
@@ -79,11 +94,39 @@ class Pictured(NamedTuple):
     alike: Float[np.ndarray, "s 3"]
 
 
+def joined(samples: Sequence[Mapping[str, Float[np.ndarray, "_ 3"]]]) -> dict[str, Float[np.ndarray, "s 3"]]:
+    """What several samples have, one after the other; of means that one of them is without, nothing there."""
+    lengths = [max((len(of) for of in sample.values()), default=0) for sample in samples]
+    names = dict.fromkeys(name for sample in samples for name in sample)
+    nothing = [np.zeros((length, 3)) for length in lengths]
+    return {
+        name: np.concatenate([sample.get(name, none) for sample, none in zip(samples, nothing, strict=True)])
+        for name in names
+    }
+
+
+class Shared(NamedTuple):
+    """A relative error that a picture and its reference have in common, trimmed and not."""
+
+    trimmed: float
+    untrimmed: float
+
+
+def shared_error(apart: Float[np.ndarray, "s 3"], wanted: Float[np.ndarray, "s 3"]) -> Shared:
+    """The error of some pixels."""
+    distance, size = _squares(apart), _squares(wanted)
+    if not size.any():
+        return Shared(0.0, 0.0)
+    alike = np.ones(len(size))
+    return Shared(*(float(np.sqrt(statistic(distance, size, alike))) for statistic in (_trimmed, _untrimmed)))
+
+
 def measured_error(
     radiance: Float[np.ndarray, "s 3"],
+    weights: Float[np.ndarray, " s"],
     pictured: Pictured,
     exact: Mapping[str, Float[np.ndarray, "s 3"]],
-    further: Mapping[str, float],
+    further: Mapping[str, Shared],
     reference: str,
     missing: tuple[str, ...] = (),
 ) -> PictureError:
@@ -91,6 +134,7 @@ def measured_error(
 
     Args:
         radiance: of the sample's pixels.
+        weights: how many of the picture's pixels each of them stands for.
         pictured: what it consists of.
         exact: radiance of the reference, by the same means.
         further: relative errors that both have, by name, added by squares.
@@ -98,16 +142,15 @@ def measured_error(
         missing: what is not measured.
     """
     wanted = pictured.alike + sum(exact.values(), np.zeros_like(pictured.alike))
-    apart = {means: of - exact[means] for means, of in pictured.by_means.items()}
+    apart = {means: of - exact.get(means, 0 * of) for means, of in pictured.by_means.items()}
     distance, size = _squares(radiance - wanted), _squares(wanted)
-    also = float(np.sum(np.square(list(further.values())))) if further else 0.0
-    keep = distance <= np.quantile(distance, 1 - TRIM)
-    parts = {means: _ratio(_squares(of)[keep].sum(), size[keep].sum()) for means, of in apart.items()}
-    drawn = np.random.default_rng(0).integers(0, len(size), (_REDRAWN, len(size)))
+    also = [sum(getattr(of, name) ** 2 for of in further.values()) for name in Shared._fields]
+    keep = _kept(distance, weights) * weights
+    parts = {means: _ratio(_squares(of) @ keep, size @ keep) for means, of in apart.items()}
     return PictureError(
-        trimmed=_estimate(_trimmed, distance, size, drawn, also),
-        untrimmed=_estimate(_untrimmed, distance, size, drawn, also),
-        parts={**parts, **further},
+        trimmed=_estimate(_trimmed, distance, size, weights, also[0]),
+        untrimmed=_estimate(_untrimmed, distance, size, weights, also[1]),
+        parts=parts | {name: of.trimmed for name, of in further.items()},
         reference=reference,
         missing=missing,
         samples=len(size),
@@ -125,23 +168,40 @@ def _ratio(apart: float, wanted: float) -> float:
     return float(np.sqrt(apart / wanted))
 
 
-def _untrimmed(distance: Float[np.ndarray, "*b s"], size: Float[np.ndarray, "*b s"]) -> Float[np.ndarray, "*b"]:
+def _untrimmed(
+    distance: Float[np.ndarray, "*b s"], size: Float[np.ndarray, "*b s"], weights: Float[np.ndarray, "*b s"]
+) -> Float[np.ndarray, "*b"]:
     """Of samples in rows, Σ distance² / Σ size²."""
-    return np.asarray(distance.sum(axis=-1) / np.maximum(size.sum(axis=-1), np.finfo(float).tiny))
+    apart, whole = (np.sum(of * weights, axis=-1) for of in (distance, size))
+    return np.asarray(apart / np.maximum(whole, np.finfo(float).tiny))
 
 
-def _trimmed(distance: Float[np.ndarray, "*b s"], size: Float[np.ndarray, "*b s"]) -> Float[np.ndarray, "*b"]:
+def _trimmed(
+    distance: Float[np.ndarray, "*b s"], size: Float[np.ndarray, "*b s"], weights: Float[np.ndarray, "*b s"]
+) -> Float[np.ndarray, "*b"]:
     """The same without the pixels that differ most."""
-    order = np.argsort(distance, axis=-1)[..., : max(round((1 - TRIM) * distance.shape[-1]), 1)]
-    return _untrimmed(np.take_along_axis(distance, order, -1), np.take_along_axis(size, order, -1))
+    return _untrimmed(distance, size, _kept(distance, weights) * weights)
 
 
-def _estimate(statistic, distance, size, drawn, also: float) -> Estimate:
+def _kept(distance: Float[np.ndarray, "*b s"], weights: Float[np.ndarray, "*b s"]) -> Float[np.ndarray, "*b s"]:
+    """The share of each pixel that is not among those that differ most, by what they stand for."""
+    order = np.argsort(distance, axis=-1)
+    ascending = np.take_along_axis(weights, order, -1)
+    ends = np.cumsum(ascending, axis=-1)
+    most = (1 - TRIM) * ends[..., -1:]
+    share = np.clip((most - ends + ascending) / np.maximum(ascending, 1e-300), 0, 1)
+    kept = np.empty_like(share)
+    np.put_along_axis(kept, order, share, -1)
+    return kept
+
+
+def _estimate(statistic, distance, size, weights, also: float) -> Estimate:
     """A statistic of a sample, and its interval by drawing from the sample again (Efron's bootstrap)."""
     if not size.any():
         value = 0.0 if not distance.any() else float("inf")
         return Estimate(value, value, value)
-    again = np.sqrt(statistic(distance[drawn], size[drawn]) + also)
+    drawn = np.random.default_rng(0).integers(0, len(size), (_REDRAWN, len(size)))
+    again = np.sqrt(statistic(distance[drawn], size[drawn], weights[drawn]) + also)
     low, high = np.quantile(again, [_TAIL, 1 - _TAIL])
-    value = float(np.sqrt(statistic(distance, size) + also))
+    value = float(np.sqrt(statistic(distance, size, weights) + also))
     return Estimate(value, min(float(low), value), max(float(high), value))

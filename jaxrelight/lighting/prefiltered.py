@@ -26,7 +26,7 @@ from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.filtered_lobes import Horizon, LobeMean, lobe_radiance
 from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lighting.reference import ExactTransport, Reference
+from jaxrelight.lighting.reference import ExactTransport, Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import Corners, SurfaceMaterial, VisibleSurfaces, corners_of, trace_view
 from jaxrelight.lights.environment import Environment
@@ -134,11 +134,10 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
 
         return ExactTransport(view, taken, named, _REFERENCE_RESOLUTION, samples, seed)
 
-    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: PrefilteredLight, reference: Reference) -> Pictured:
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: PrefilteredLight, sample: Sample) -> Pictured:
         """All light of the environment, and local lights and emission beside it."""
-        sample = reference.sample
-        whole = np.asarray(self.shade(lit, sample).radiance)[0]
-        under = self._under_environment(lit, sample)
+        whole = np.asarray(self.shade(lit, sample.view).radiance)[0]
+        under = self._under_environment(lit, sample.view)
         if under is None:
             return Pictured({}, whole)
         own = np.asarray(under)[0]

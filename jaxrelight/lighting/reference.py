@@ -8,39 +8,80 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrelight.lighting.exact_pixels import ExactPixels, NamedComponent, exact_pixels, traced_bits
-from jaxrelight.lighting.picture_error import drawn_pixels
+from jaxrelight.lighting.picture_error import Shared, bright_pixels, drawn_pixels, shared_error
 from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.lights.environment import Environment
 
-# Pixels of a picture that are compared by default.
-ERROR_SAMPLES = 256
-# Of those, how many are compared with twice the resolution, and the name of what that tells.
+# Pixels of a picture that are compared by default, and the share of them that is drawn by brightness.
+ERROR_SAMPLES, _BRIGHT = 256, 0.25
+# How many are compared with twice the resolution, and the name of what that tells.
 _FEW, FINER = 32, "rays and resolution"
 
 
-class Reference(abc.ABC):
-    """The exact radiance of a sample of a view's pixels; its rays are cast once.
+class Sample(NamedTuple):
+    """Some pixels of a view, and their exact radiance.
 
     Attributes:
-        pixels: the sample's places in the flattened picture.
-        sample: a view of them alone, as a picture of a single row.
-        name: what messages call it.
+        pixels: their places in the flattened picture.
+        view: of them alone, as a picture of a single row.
+        radiance: under a light, by the means that the picture has it by.
     """
 
     pixels: Int[np.ndarray, " s"]
-    sample: Any
+    view: Any
+    radiance: Callable[[Any], Mapping[str, Float[np.ndarray, "s 3"]]]
+
+
+class Reference(abc.ABC):
+    """The exact radiance of a view's pixels. Those that are drawn evenly are kept, and their rays cast once.
+
+    The brightest are few and bring about most of a relative error, so that some pixels are drawn by their brightness
+    under each light.
+
+    Attributes:
+        name: what messages call it.
+    """
+
     name: str
 
-    @abc.abstractmethod
-    def radiance(self, lit: Any) -> Mapping[str, Float[np.ndarray, "s 3"]]:
-        """Under a light, by the means that the picture has it by."""
+    def __init__(self, shown: Int[np.ndarray, " n"], count: int, seed: int):
+        """Draws the sample.
 
-    def further(self, lit: Any, radiance: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, float]:
+        Args:
+            shown: pixels that show a surface, by their places in the flattened picture, ascending.
+            count: of the sample; all of them where there are no more.
+            seed: of the sample.
+        """
+        self._shown, self._seed = shown, seed
+        self._bright_count = int(_BRIGHT * count) if count < len(shown) else 0
+        self.even = self.of(drawn_pixels(shown, count - self._bright_count, seed))
+
+    @abc.abstractmethod
+    def of(self, pixels: Int[np.ndarray, " s"]) -> Sample:
+        """Some pixels, ascending; casts their rays."""
+
+    def samples(self, radiance: Float[np.ndarray, "n 3"]) -> tuple[list[Sample], list[Float[np.ndarray, " _"]]]:
+        """The pixels to compare of a picture, and how many of the picture's each of them stands for.
+
+        Args:
+            radiance: of all of the picture's pixels.
+        """
+        even, shown = self.even, self._shown
+        energy = np.sum(radiance[shown].astype(float) ** 2, axis=1)
+        if not self._bright_count or not energy.sum() > 0:
+            return [even], [np.full(len(even.pixels), len(shown) / len(even.pixels))]
+        # How often a pixel is drawn, evenly and by brightness together.
+        expected = len(even.pixels) / len(shown) + self._bright_count * energy / energy.sum()
+        place, times = bright_pixels(energy, self._bright_count, self._seed)
+        bright = self.of(shown[place])
+        weights = [1 / expected[np.searchsorted(shown, even.pixels)], times / expected[place]]
+        return [even, bright], weights
+
+    def further(self, lit: Any) -> dict[str, Shared]:
         """Relative errors that the picture shares with the reference, by name.
 
         Args:
             lit: the light.
-            radiance: under it, from `radiance`.
         """
         return {}
 
@@ -73,30 +114,34 @@ class ExactTransport(Reference):
             count: of the sample.
             seed: of the sample.
         """
-        self.pixels = drawn_pixels(surfaces.pixels, count, seed)
-        self._few = np.sort(np.random.default_rng(seed).permutation(len(self.pixels))[:_FEW])
+        self._taken, self._named, self._resolution = taken, named, resolution
+        super().__init__(surfaces.pixels, count, seed)
+        few = np.sort(np.random.default_rng(seed).permutation(self.even.pixels)[:_FEW])
+        self._coarse = np.searchsorted(self.even.pixels, few)
+        self._finer = self._exact(few, 2 * resolution)[1]
 
-        def exact(some: Int[np.ndarray, " s"], side: int) -> tuple[Any, ExactPixels]:
-            view, seen = taken(some)
-            components = [named(part.material) for part in seen.parts]
-            return view, exact_pixels(seen, components, side, traced_bits(seen, side))
+    def _exact(self, pixels: Int[np.ndarray, " s"], resolution: int) -> tuple[Any, ExactPixels]:
+        view, seen = self._taken(pixels)
+        components = [self._named(part.material) for part in seen.parts]
+        return view, exact_pixels(seen, components, resolution, traced_bits(seen, resolution))
 
-        self.sample, self._exact = exact(self.pixels, resolution)
-        self._finer = exact(self.pixels[self._few], 2 * resolution)[1]
+    def of(self, pixels: Int[np.ndarray, " s"]) -> Sample:
+        """Some pixels, under the light's environment; nothing without one."""
+        view, exact = self._exact(pixels, self._resolution)
 
-    def radiance(self, lit: Any) -> Mapping[str, Float[np.ndarray, "s 3"]]:
-        """Under the light's environment; nothing without one."""
-        environment: Environment | None = lit.environment
-        return {} if environment is None else self._exact.radiance(environment)
+        def radiance(lit: Any) -> dict[str, Float[np.ndarray, "s 3"]]:
+            environment: Environment | None = lit.environment
+            return {} if environment is None else exact.radiance(environment)
 
-    def further(self, lit: Any, radiance: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, float]:
+        return Sample(pixels, view, radiance)
+
+    def further(self, lit: Any) -> dict[str, Shared]:
         """What rays and texels that are finer change."""
-        if lit.environment is None or not radiance:
+        if lit.environment is None:
             return {}
-        fine = self._finer.radiance(lit.environment)
-        coarse, fine = (np.sum(list(of.values()), axis=0) for of in (radiance, fine))
-        size = np.linalg.norm(fine)
-        return {FINER: float(np.linalg.norm(fine - coarse[self._few]) / size)} if size > 0 else {}
+        every = self.even.radiance(lit), self._finer.radiance(lit.environment)
+        coarse, fine = (np.sum(list(of.values()), axis=0) for of in every)
+        return {FINER: shared_error(fine - coarse[self._coarse], fine)}
 
 
 class _Kept(NamedTuple):

@@ -45,8 +45,10 @@ class SurfacePoints(eqx.Module):
 
     def taken(self, chosen: Int[np.ndarray, " n"]) -> "SurfacePoints":
         """Some of the points, by number."""
-        arrays = (as_array(np.asarray(of)[chosen]) for of in (self.origins, self.positions, self.normals))
-        return SurfacePoints(*arrays, self.radius, self.tracer)
+        origins, positions, normals = (
+            as_array(np.asarray(of)[chosen]) for of in (self.origins, self.positions, self.normals)
+        )
+        return SurfacePoints(origins, positions, normals, self.radius, self.tracer)
 
     def is_occluded(self, point: Int[np.ndarray, " r"], towards: Float[np.ndarray, "r 3"]) -> Bool[np.ndarray, " r"]:
         """Whether something hides distant light: of rays from points, by number. On the host."""

@@ -27,7 +27,7 @@ from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radia
 from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
-from jaxrelight.lighting.reference import ExactTransport, Reference
+from jaxrelight.lighting.reference import ExactTransport, Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.visible_surfaces import (
@@ -322,10 +322,10 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
 
         return ExactTransport(view.surfaces, taken, named, self.method.resolution, samples, seed)
 
-    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: TransportLight, reference: Reference) -> Pictured:
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: TransportLight, sample: Sample) -> Pictured:
         """Direct light of the environment by filtered lobes, and by the rows of each kind of reflection."""
-        sample = reference.sample
-        whole = np.asarray(self.shade(lit, sample).radiance)[0]
+        view = sample.view
+        whole = np.asarray(self.shade(lit, view).radiance)[0]
         if lit.environment is None:
             return Pictured({}, whole)
         blocks, terms = self.transport.blocks, lit.terms
@@ -340,11 +340,11 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         receivers = self.method.receivers
         means = {number: means_of(block, receivers) for number, block in enumerate(blocks) if block.has_direct}
         nothing = tuple(jnp.zeros_like(of) for of in terms)
-        emission, by_means = np.asarray(self.shade_terms(nothing, sample))[0], {}
+        emission, by_means = np.asarray(self.shade_terms(nothing, view))[0], {}
         for name in dict.fromkeys(means.values()):
             own = tuple(of if means.get(number) == name else nothing[number] for number, of in enumerate(terms))
-            by_means[name] = np.asarray(self.shade_terms(own, sample))[0] - emission
-        lobes = self.shade_lobes(lit, sample)
+            by_means[name] = np.asarray(self.shade_terms(own, view))[0] - emission
+        lobes = self.shade_lobes(lit, view)
         if lobes is not None:
             by_means[means_of(self.transport.lobes[0], receivers)] = np.asarray(lobes)[0]
         return Pictured(by_means, whole - sum(by_means.values(), np.zeros_like(whole)))

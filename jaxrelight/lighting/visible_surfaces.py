@@ -187,9 +187,9 @@ class VisibleSurfaces(eqx.Module):
             starts.append(int(part.start) + filled)
             end += length
         points = self.points.taken(np.concatenate([np.zeros(0, int), *starts]))
-        seen = [as_array(np.asarray(of).reshape(-1)[None, chosen]) for of in (self.covered, self.u, self.v)]
+        covered, u, v = (as_array(np.asarray(of).reshape(-1)[None, chosen]) for of in (self.covered, self.u, self.v))
         place_of = places([part.pixels for part in parts], len(chosen))
-        return VisibleSurfaces(tuple(parts), points, place_of, *seen, tuple(corners)), rows
+        return VisibleSurfaces(tuple(parts), points, place_of, covered, u, v, tuple(corners)), rows
 
     def image(self, rows: Sequence[Float[Array, "_ c"]]) -> Float[Array, "h w c"]:
         """What the pixels of each part show; 0 where no surface is seen."""

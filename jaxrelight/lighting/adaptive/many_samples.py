@@ -1,19 +1,41 @@
 """The reference of adaptive lighting: many samples of each of a few pixels."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrelight.lighting.adaptive.view import AdaptiveView
-from jaxrelight.lighting.picture_error import drawn_pixels
-from jaxrelight.lighting.reference import Reference
+from jaxrelight.lighting.reference import Reference, Sample
+from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.numerics.random_numbers import MAX_POINTS
 
 # Samples of a pixel, and the seed that draws them; those of users and of trials are others.
 SAMPLES, _SEED = min(2048, MAX_POINTS), -3
 # What samples bring about, as messages call it.
 MEANS = "samples and what lies between"
+
+
+class TakenPixels(NamedTuple):
+    """Some of a picture's pixels, each of one or more of the view's.
+
+    Attributes:
+        surfaces: the view's pixels, as a picture of a single row.
+        owner: of each of them, the number of the picture's pixel that it is a part of.
+        count: of the picture's pixels.
+        share: of a pixel that one of the view's is.
+    """
+
+    surfaces: VisibleSurfaces
+    owner: Int[np.ndarray, " n"]
+    count: int
+    share: float
+
+    def in_picture(self, radiance: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "s 3"]:
+        """The picture's pixels, each the mean of what it has of the view's."""
+        total = np.zeros((self.count, 3))
+        np.add.at(total, self.owner, radiance)
+        return total * self.share
 
 
 class ManySamples(Reference):
@@ -30,29 +52,26 @@ class ManySamples(Reference):
             count: of the sample.
             seed: of their choice.
         """
-        self._relighter = relighter
+        self._relighter, self._view = relighter, view
         (h, w), factor = view.shape, view.factor
         fine = np.asarray(view.surfaces.covered).reshape(h, factor, w, factor)
-        shown = np.flatnonzero(fine.any(axis=(1, 3)))
-        self.pixels = drawn_pixels(shown, count, seed)
-        row, column = np.divmod(self.pixels, w)
+        super().__init__(np.flatnonzero(fine.any(axis=(1, 3))), count, seed)
+
+    def of(self, pixels: Int[np.ndarray, " s"]) -> Sample:
+        """Some pixels, under the environment without its sun."""
+        view, factor = self._view, self._view.factor
+        columns = view.shape[1]
+        row, column = np.divmod(pixels, columns)
         offset = np.arange(factor)
-        rows = (row[:, None, None] * factor + offset[:, None]) * (w * factor)
-        places = (rows + column[:, None, None] * factor + offset).reshape(len(self.pixels), -1)
+        rows = (row[:, None, None] * factor + offset[:, None]) * (columns * factor)
+        places = (rows + column[:, None, None] * factor + offset).reshape(len(pixels), -1)
         seen = np.isin(places, view.surfaces.pixels)
-        self._owner: Int[np.ndarray, " n"] = np.nonzero(seen)[0]
-        self._share = 1 / factor**2
-        self.sample, _ = view.surfaces.taken(places[seen])
+        surfaces, _ = view.surfaces.taken(places[seen])
+        taken = TakenPixels(surfaces, np.nonzero(seen)[0], len(pixels), 1 / factor**2)
 
-    def radiance(self, lit: Any) -> dict[str, Float[np.ndarray, "s 3"]]:
-        """Under the environment without its sun."""
-        if lit.mipmap is None:
-            return {}
-        exact = self._relighter.exact_radiance(lit, self.sample, SAMPLES, _SEED)
-        return {MEANS: self.in_picture(exact)}
+        def radiance(lit: Any) -> dict[str, Float[np.ndarray, "s 3"]]:
+            if lit.mipmap is None:
+                return {}
+            return {MEANS: taken.in_picture(self._relighter.exact_radiance(lit, surfaces, SAMPLES, _SEED))}
 
-    def in_picture(self, radiance: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "s 3"]:
-        """The picture's pixels, each the mean of what it has of the view's."""
-        total = np.zeros((len(self.pixels), 3))
-        np.add.at(total, self._owner, radiance)
-        return total * self._share
+        return Sample(pixels, taken, radiance)

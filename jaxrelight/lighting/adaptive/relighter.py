@@ -20,7 +20,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate, estimate_listed, list_work
 from jaxrelight.lighting.adaptive.layer_estimates import calibrate, estimate_layer, looked_up
-from jaxrelight.lighting.adaptive.many_samples import MEANS, ManySamples
+from jaxrelight.lighting.adaptive.many_samples import MEANS, ManySamples, TakenPixels
 from jaxrelight.lighting.adaptive.planning import Plan, make_plan
 from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw, predict
 from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
@@ -29,7 +29,7 @@ from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.picture_error import Pictured
-from jaxrelight.lighting.reference import Reference
+from jaxrelight.lighting.reference import Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial, VisibleSurfaces
 from jaxrelight.lights.environment import Environment
@@ -235,16 +235,16 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         """Many samples of the view's pixels."""
         return ManySamples(self, view, samples, seed)
 
-    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: AdaptiveLight, reference: Reference) -> Pictured:
+    def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: AdaptiveLight, sample: Sample) -> Pictured:
         """What samples and interpolation bring: all but local lights, the sun and what surfaces emit."""
-        assert isinstance(reference, ManySamples)
-        surfaces = reference.sample
+        taken: TakenPixels = sample.view
+        surfaces = taken.surfaces
         points = surfaces.points
         shown = self.method.shadows
         visibility = trace_visibility(points, lit.groups) if shown else all_visible(points, lit.groups)
         parts = shade_lights(self.materials, surfaces, lit.groups, visibility), surfaces.emission(self.materials)
         exact = sum(np.asarray(part)[0] for part in parts if part is not None)
-        alike = reference.in_picture(np.zeros((surfaces.covered.size, 3)) + exact)
+        alike = taken.in_picture(np.zeros((surfaces.covered.size, 3)) + exact)
         return Pictured({} if lit.mipmap is None else {MEANS: radiance - alike}, alike)
 
     def not_measured(self, lit: AdaptiveLight) -> tuple[str, ...]:
