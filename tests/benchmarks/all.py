@@ -15,6 +15,8 @@ PROGRAMS = (
     "terms_curve",
     "filtered_visibility",
     "filtered_speed",
+    "glossy_bounces",
+    "picture_error",
     "factor_error",
     "pictures_by_terms",
     "shadow_error",

@@ -122,7 +122,9 @@ def test_intervals_hold_the_error_of_the_whole():
 def test_what_both_have_in_common_is_added_by_squares():
     wanted = np.ones((64, 3))
     pictured = Pictured({"a": 1.03 * wanted}, np.zeros_like(wanted))
-    error = measured_error(1.03 * wanted, np.ones(64), pictured, {"a": wanted}, {"b": Shared(0.04, 0.04)}, "truth", ("c",))
+    error = measured_error(
+        1.03 * wanted, np.ones(64), pictured, {"a": wanted}, {"b": Shared(0.04, 0.04)}, "truth", ("c",)
+    )
     np.testing.assert_allclose([error.trimmed.value, error.untrimmed.value], 0.05, rtol=1e-6)
     assert str(error) == "5 % ± 0 from truth: b 4, a 3; not measured: c"
 
