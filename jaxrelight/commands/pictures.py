@@ -149,6 +149,13 @@ def _describe_error(error: PictureError) -> dict:
 def _describe_plan(plan: Any, view: Any, maps: pathlib.Path | None) -> dict:
     """What adaptive lighting did; with pictures of bandwidth, levels, samples and predicted errors, if asked for."""
     covered = max(view.covered_count(), 1)
+    if not plan.is_met:
+        notes(
+            [
+                f"a tolerance of {float(plan.tolerance):g} cannot be met: {plan.error:.2g} is the least error that is "
+                "predicted; ask for a larger one"
+            ]
+        )
     summary: dict[str, Any] = {
         "samples": view.factor**2 * plan.samples / covered,
         "shaded": plan.shaded / max(covered * len(plan.layers), 1),

@@ -22,6 +22,10 @@ from jaxrelight.numerics.random_numbers import MAX_POINTS
 # Errors between parents that are tried, and the first of them; 0 shades every pixel.
 _TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
 _FIRST = 8
+# A tolerance is met up to rounding; the cost of what misses it, in samples.
+_MET, _MISSED = 1.01, 1e18
+# How often samples are added where runs of them leave more noise than was reckoned.
+_MORE_SAMPLES = 6
 # The share of the predicted error that is measured, in root mean square: 0.03 for bumpy meshes, 0.1 for smooth ones
 # under edges.
 _OF_PREDICTED = 0.07
@@ -59,7 +63,8 @@ class Plan(eqx.Module):
         shape: rows and columns of the view.
         layers: of components; none where no surface is seen.
         interpolation: root-mean-square error of displayed values that is predicted for what lies between.
-        noise: that of samples.
+        noise: that of samples, as many as are taken.
+        tolerance: error of displayed values that was asked for; None where a number of samples was.
         shadows: whether surfaces hide the environment.
     """
 
@@ -67,7 +72,18 @@ class Plan(eqx.Module):
     layers: tuple[LayerPlan, ...]
     interpolation: Float[Array, ""]
     noise: Float[Array, ""]
+    tolerance: Float[Array, ""] | None
     shadows: bool = eqx.field(static=True)
+
+    @property
+    def error(self) -> float:
+        """Root-mean-square error of displayed values that is predicted of the picture."""
+        return float(np.hypot(self.interpolation, self.noise))
+
+    @property
+    def is_met(self) -> bool:
+        """Whether no more than the tolerance is predicted; true of a number of samples."""
+        return self.tolerance is None or self.error <= _MET * float(self.tolerance)
 
     @property
     def samples(self) -> int:
@@ -153,15 +169,30 @@ def make_plan(
         while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
             step += way
     best = tried[step]
-    counts = _counts([(layer.wanted, layer.hierarchy.shaded) for layer in best.layers], best.budget)
+    layers, noise = _planned(estimates, best, best.budget)
+    budget = best.budget
+    for _ in range(_MORE_SAMPLES):
+        # Samples come in runs, and a pixel has one at least: some have fewer than they should.
+        if tolerance is None or samples is not None or best.error + noise <= tolerance**2 or budget >= best.most:
+            break
+        left = max(tolerance**2 - best.error, 1e-3 * tolerance**2)
+        budget = min(budget * max((noise / left) ** (1 / power), 1.02), best.most)
+        layers, noise = _planned(estimates, best, budget)
+    between, noisy = (as_array(np.sqrt(of), np.float32) for of in (best.error, noise))
+    wanted = None if samples is not None or tolerance is None else as_array(tolerance, np.float32)
+    return Plan(shape, tuple(layers), between, noisy, wanted, shadows)
+
+
+def _planned(estimates: Sequence[LayerEstimate], best: "_Candidate", budget: float) -> tuple[list[LayerPlan], float]:
+    """The layers of a plan with so many samples, and mean error² that they leave."""
+    counts = _counts([(layer.wanted, layer.hierarchy.shaded) for layer in best.layers], budget)
+    power = as_array(best.power, np.float32)
     layers = [
-        LayerPlan(
-            layer.hierarchy, as_array(layer_counts), estimate.bandwidth, estimate.deviation, as_array(power, np.float32)
-        )
-        for estimate, layer, layer_counts in zip(estimates, best.layers, counts, strict=True)
+        LayerPlan(layer.hierarchy, as_array(own), estimate.bandwidth, estimate.deviation, power)
+        for estimate, layer, own in zip(estimates, best.layers, counts, strict=True)
     ]
-    between, noisy = (float(np.sqrt(of)) for of in (best.error, best.error_of(best.budget)))
-    return Plan(shape, tuple(layers), as_array(between, np.float32), as_array(noisy, np.float32), shadows)
+    total = sum(float(_noise(layer.hierarchy, layer.counts, layer.deviation, power)) for layer in layers)
+    return layers, total / (best.pixels * best.apart)
 
 
 class _CandidateLayer(NamedTuple):
@@ -206,8 +237,12 @@ class _Candidate:
         Each of those is a mean over as many samples of the surface as it has, whose noise is their own where they are
         shaded, and the same where they lie between others.
         """
-        apart = max(self.least / RUN / self.shown, 1)
-        return self.spread ** (1 + self.power) / (self.pixels * apart) * max(budget, 1) ** -self.power
+        return self.spread ** (1 + self.power) / (self.pixels * self.apart) * max(budget, 1) ** -self.power
+
+    @property
+    def apart(self) -> float:
+        """Pixels of the view whose noise is their own, of one of the picture."""
+        return max(self.least / RUN / self.shown, 1)
 
     @property
     def budget(self) -> float:
@@ -215,14 +250,24 @@ class _Candidate:
         if self.given is not None:
             return max(self.given, self.least)
         assert self.tolerance is not None
-        left = max(self.tolerance**2 - self.error, 1e-3 * self.tolerance**2)
-        return max((self.error_of(1) / left) ** (1 / self.power), self.least)
+        left = self.tolerance**2 - self.error
+        if left <= 0:
+            return self.most
+        return min(max((self.error_of(1) / left) ** (1 / self.power), self.least), self.most)
+
+    @property
+    def most(self) -> float:
+        """The most samples that there can be."""
+        return self.least / RUN * MAX_POINTS
 
     @property
     def cost(self) -> float:
         """What is to be as small as possible."""
         if self.given is None:
-            return self.budget
+            assert self.tolerance is not None
+            share = (self.error + self.error_of(self.budget)) / self.tolerance**2
+            # What misses the tolerance costs more than all that meet it, and the more the farther it is off.
+            return self.budget if share <= _MET**2 else _MISSED * share
         # The best of those that do not fit has the fewest samples.
         return self.error + self.error_of(self.budget) if self.least <= self.given else 1e6 + self.least
 
@@ -256,6 +301,12 @@ def _work(hierarchy, influence, deviation, power):
     wanted = (influence * deviation**2) ** (1 / (1 + power))
     error = _OF_PREDICTED**2 * jnp.sum(hierarchy.left**2)
     return wanted, error, jnp.sum(wanted), jnp.sum(hierarchy.shaded)
+
+
+@jax.jit
+def _noise(hierarchy: Hierarchy, counts, deviation, power):
+    """Σ error² of samples, as many as there are, in what is shaded and in what lies between."""
+    return jnp.sum(hierarchy.propagate_variance(deviation**2 * jnp.maximum(counts, 1.0) ** -power))
 
 
 @jax.jit

@@ -9,6 +9,7 @@ import pytest
 from jaxrelight.lighting.adaptive.estimate import RUN
 from jaxrelight.lighting.adaptive.hierarchy import Hierarchy, hierarchy
 from jaxrelight.lighting.adaptive.planning import LayerEstimate, make_plan
+from jaxrelight.numerics.random_numbers import MAX_POINTS
 from tests.lighting.adaptive.test_hierarchy import H, W, features, plain
 
 PIXELS = H * W
@@ -70,3 +71,22 @@ def test_the_more_noise_the_fewer_pixels_share_a_budget():
 def test_pixels_of_a_fine_view_share_the_samples_of_the_picture():
     one, four = plan(samples=64), plan(samples=64, factor=2)
     assert four.samples == pytest.approx(one.samples / 4, rel=0.1)
+
+
+def test_a_tolerance_that_cannot_be_met_is_said_to_be_and_has_the_best():
+    """The more is asked for the less is predicted, down to what all samples leave."""
+    between = hierarchy(features(angular=2.0))
+    tolerances = [0.1 * 2**-k for k in range(8)]
+    planned = [plan(tolerance=tolerance, deviation=3 * noise(), between=between) for tolerance in tolerances]
+    errors = [of.error for of in planned]
+    assert errors == sorted(errors, reverse=True)
+    met = [of.is_met for of in planned]
+    assert met == sorted(met, reverse=True)
+    assert met[0]
+    assert not met[-1]
+    for of, tolerance in zip(planned, tolerances, strict=True):
+        assert of.is_met == (of.error <= 1.01 * tolerance)
+    # All samples that there can be, wherever pixels are shaded.
+    counts = np.asarray(planned[-1].layers[0].counts)
+    assert counts[counts > 0].min() > 0.9 * MAX_POINTS
+    assert plan(samples=64).is_met
