@@ -48,6 +48,10 @@ def narrower_lobes(lobes: LobeSum | SpatialLobes, tolerance: float) -> int:
     return next((count for count, (_, ratio) in PATTERNS.items() if mean <= ratio * tolerance), max(PATTERNS))
 
 
+# Lobes of which 1/(n + 1) is less than this, over the square of a face's side in texels, are narrower than texels.
+_NARROWEST = 2.0
+
+
 def narrowest(lobes: LobeSum | SpatialLobes) -> float:
     """The least 1/(n + 1) of lobes that reflect a hundredth of the light, or more; 1 where none reflects any."""
     width, share = _widths(lobes)
@@ -56,6 +60,16 @@ def narrowest(lobes: LobeSum | SpatialLobes) -> float:
     order = np.argsort(width)
     together = np.cumsum(share[order])
     return float(width[order][np.searchsorted(together, min(0.01, together[-1]))])
+
+
+def is_narrower_than_texels(lobes: LobeSum | SpatialLobes, resolution: int) -> bool:
+    """Whether lobes would fall between the centres of a cube map's texels, and cannot be summed over them.
+
+    Args:
+        lobes: of which the narrowest that counts decides.
+        resolution: side of the cube map's faces.
+    """
+    return narrowest(lobes) < _NARROWEST / resolution**2
 
 
 def _widths(lobes: LobeSum | SpatialLobes) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:

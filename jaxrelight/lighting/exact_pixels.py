@@ -4,6 +4,8 @@ Each pixel casts a ray through every texel of a cube map, and its own BRDFs weig
 light of the texels (Wang 2006 eq. 3), as those of pixel receivers without compression are.
 """
 
+import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,18 +17,28 @@ from jaxtyping import Array, Float, UInt8
 
 from jaxrelight.basis import cubemap, latlong
 from jaxrelight.basis.cubemap import Texels
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import has_lobes
 from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.brdf.spatial import PackedLobes
+from jaxrelight.brdf.sub_lobes import is_narrower_than_texels
 from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
+from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, VisibleSurfaces
 from jaxrelight.lights.environment import Environment, coarsened
+from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.threads import in_parts
 from jaxrelight.transport import bake
+from jaxrelight.transport.model import FilteredLobes
 from jaxrelight.transport.visibility import trace_visibility
 
 # Pixels whose rays a thread traces at a time.
 _RAY_CHUNK = 16
+# Rays of a pixel in lobes that are narrower than texels.
+_SHARP_RAYS = 512
 
 
 class NamedComponent(NamedTuple):
@@ -36,22 +48,56 @@ class NamedComponent(NamedTuple):
     component: SurfaceComponent
 
 
+class SharpLobes(eqx.Module):
+    """Lobes of one component that are narrower than texels: light filtered by them, times what their rays see.
+
+    Attributes:
+        means: by which pictures have them.
+        pixels: that see them.
+        lobes: the lobes and the factor on them.
+        shares: the visible share of each lobe of each pixel.
+    """
+
+    means: str = eqx.field(static=True)
+    pixels: SurfacePixels
+    lobes: FilteredLobes
+    shares: Float[Array, "p l c1 j"]
+
+    def radiance(self, maps: PrefilteredMaps, environment: Environment) -> Float[Array, "p 3"]:
+        """What they reflect."""
+        count, dtype = len(self.pixels.pixel), self.pixels.omega_o.dtype
+        nobody = as_array(np.zeros((count, 1), np.int32)), as_array(np.zeros((count, 1)), dtype)
+        others = as_array(np.zeros((count, 3)), dtype)
+        turn, scale = environment.rotate_y, environment.scale
+        return filtered_radiance(self.lobes, self.pixels, *nobody, self.shares, maps, turn, scale, others)
+
+
 class ExactPixels(eqx.Module):
     """Exact transport of the pixels of a picture of a single row.
 
     Attributes:
         rows: radiance by the light of texels, of each channel, and of each means by which pictures have it; all of
             them add up.
+        sharp: what rows do not have of lobes that are narrower than texels.
         resolution: side of the cube map's faces.
     """
 
     rows: dict[str, Float[Array, "3 s d"]]
+    sharp: tuple[SharpLobes, ...]
     resolution: int = eqx.field(static=True)
 
     def radiance(self, environment: Environment) -> dict[str, Float[np.ndarray, "s 3"]]:
         """What the pixels reflect of an environment, its sun included; of each means."""
         texels = texels_of(environment, self.resolution)
-        return {means: np.asarray(_applied(rows, texels)) for means, rows in self.rows.items()}
+        radiance = {means: np.array(_applied(rows, texels)) for means, rows in self.rows.items()}
+        if self.sharp:
+            maps = maps_of(environment, between=exponents_of([of.lobes for of in self.sharp]))
+        for of in self.sharp:
+            own = radiance[of.means]
+            pixel = np.asarray(of.pixels.pixel)
+            real = np.flatnonzero(pixel < len(own))
+            own[pixel[real]] += np.asarray(of.radiance(maps, environment))[real]
+        return radiance
 
 
 def texels_of(environment: Environment, resolution: int) -> Float[Array, "d 3"]:
@@ -89,22 +135,32 @@ def exact_pixels(
     """
     directions, count = bake.directions_for(resolution), surfaces.covered.size
     rows: dict[str, np.ndarray] = {}
+    sharp: list[SharpLobes] = []
     for part, named in zip(surfaces.parts, components, strict=True):
         length, pixel = len(part.pixels.pixel), np.asarray(part.pixels.pixel)
         mine = slice(int(part.start), int(part.start) + length)
         for means, component in named:
-            baked = _rows(jnp.asarray(bits[mine]), component.brdf, component.weight, part.pixels, directions)
+            brdf, weight, pixels = component.brdf, component.weight, part.pixels
+            lobes = brdf.texels if isinstance(brdf, PackedLobes) else brdf
+            is_sharp = has_lobes(lobes) and is_narrower_than_texels(lobes, resolution)
+            if is_sharp:
+                shares = traced_shares(brdf, pixels, surfaces.points, int(part.start), _SHARP_RAYS)
+                sharp.append(SharpLobes(means, pixels, FilteredLobes("", brdf, weight, None, 1, 0), shares))
+            baked = _rows(jnp.asarray(bits[mine]), brdf, weight, pixels, directions, is_sharp)
             held = rows.setdefault(means, np.zeros((3, count, 6 * resolution**2), np.float32))
             # Without filling.
             real = np.flatnonzero(pixel < count)
             held[:, pixel[real]] += np.asarray(baked)[:, real]
-    return ExactPixels({means: jax.device_put(of) for means, of in rows.items()}, resolution)
+    return ExactPixels({means: jax.device_put(of) for means, of in rows.items()}, tuple(sharp), resolution)
 
 
-@jax.jit
-def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions) -> Float[Array, "3 p d"]:
+@functools.partial(jax.jit, static_argnames="without_lobes")
+def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions, without_lobes: bool) -> Float[Array, "3 p d"]:
+    if isinstance(brdf, LobeSum) and without_lobes:
+        brdf = dataclasses.replace(brdf, scale=jnp.zeros_like(brdf.scale))
     if isinstance(brdf, PackedLobes):
         own = brdf.at(pixels.uv, pixels.footprint)
+        own = dataclasses.replace(own, scale=jnp.zeros_like(own.scale)) if without_lobes else own
         reflection = FixedView(jax.tree.map(lambda _: None, own), pixels.omega_o, own)
     else:
         reflection = FixedView(brdf, pixels.omega_o)

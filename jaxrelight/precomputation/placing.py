@@ -17,7 +17,7 @@ from jaxrelight.brdf.material import as_material, has_lobes, split_diffuse, spli
 from jaxrelight.brdf.record import to_record
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.sub_lobes import narrowest
+from jaxrelight.brdf.sub_lobes import is_narrower_than_texels
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import Receivers
@@ -37,10 +37,6 @@ from jaxrelight.precomputation.layer_files import (
 from jaxrelight.precomputation.load import receivers_of
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.model import SceneGeometry, fixed_view
-
-# Lobes of which 1/(n + 1) is less than this, over the square of a face's side in texels, would fall between the centres
-# of texels.
-_NARROWEST = 2.0
 
 
 class Reflected(NamedTuple):
@@ -183,7 +179,7 @@ class PlacedScene:
         if self.method.receivers == "vertices":
             return self.scene.reflections.get(name, self.method.reflection)
         assert isinstance(brdf, LobeSum | SpatialLobes)
-        return "filtered" if narrowest(brdf) < _NARROWEST / self.method.resolution**2 else "factors"
+        return "filtered" if is_narrower_than_texels(brdf, self.method.resolution) else "factors"
 
     def header(self, materials: list[dict], lights: dict | None = None, **layers: str | None) -> dict:
         """What `load` takes: layers by their kinds, and records of materials."""

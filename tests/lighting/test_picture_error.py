@@ -136,3 +136,16 @@ def test_nothing_seen_and_nothing_lit_have_no_error(folder):
     assert relighter.shade(lit, away).error is None
     black = relighter.light(jr.environment(np.zeros((2, 4, 3), np.float32)))
     assert relighter.shade(black, relighter.view()).error.untrimmed.value == 0
+
+
+@pytest.mark.parametrize(
+    "method", [jr.Transport("pixels", resolution=8), jr.Prefiltered(map_rows=64)], ids=["pixels", "prefiltered"]
+)
+def test_lobes_narrower_than_texels_are_measured_as_lobes(method, tmp_path):
+    """Sums over texels would meet them by chance, and report an error of any size."""
+    sharp = jr.phong([0.3, 0.2, 0.1], 0.5, 1e4)
+    smooth = jr.environment(np.asarray(sky().pixels)[..., :1] * 0 + np.linspace(0.5, 1, 32)[:, None, None] * np.ones(3))
+    of = dataclasses.replace(scene(), materials={**scene().materials, "gloss": sharp}, lights=smooth)
+    relighter = jr.prepare(of, method, tmp_path if isinstance(method, jr.Transport) else None)
+    error = relighter.shade(relighter.light(smooth), relighter.view()).error
+    assert error.trimmed.value < 0.05
