@@ -141,9 +141,12 @@ def exact_pixels(
         mine = slice(int(part.start), int(part.start) + length)
         for means, component in named:
             brdf, weight, pixels = component.brdf, component.weight, part.pixels
-            lobes = brdf.texels if isinstance(brdf, PackedLobes) else brdf
-            is_sharp = has_lobes(lobes) and is_narrower_than_texels(lobes, resolution)
+            is_sharp = False
+            if isinstance(brdf, LobeSum | PackedLobes):
+                every = brdf.texels if isinstance(brdf, PackedLobes) else brdf
+                is_sharp = has_lobes(every) and is_narrower_than_texels(every, resolution)
             if is_sharp:
+                assert isinstance(brdf, LobeSum | PackedLobes)
                 shares = traced_shares(brdf, pixels, surfaces.points, int(part.start), _SHARP_RAYS)
                 sharp.append(SharpLobes(means, pixels, FilteredLobes("", brdf, weight, None, 1, 0), shares))
             baked = _rows(jnp.asarray(bits[mine]), brdf, weight, pixels, directions, is_sharp)

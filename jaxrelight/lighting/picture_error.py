@@ -146,7 +146,7 @@ def measured_error(
     distance, size = _squares(radiance - wanted), _squares(wanted)
     also = [sum(getattr(of, name) ** 2 for of in further.values()) for name in Shared._fields]
     keep = _kept(distance, weights) * weights
-    parts = {means: _ratio(_squares(of) @ keep, size @ keep) for means, of in apart.items()}
+    parts = {means: _ratio(float(_squares(of) @ keep), float(size @ keep)) for means, of in apart.items()}
     return PictureError(
         trimmed=_estimate(_trimmed, distance, size, weights, also[0]),
         untrimmed=_estimate(_untrimmed, distance, size, weights, also[1]),

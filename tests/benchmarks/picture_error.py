@@ -155,7 +155,7 @@ def tell(report: Report, cases: list[Case]):
         by_way[case.way].append(case)
     rows = []
     for way, own in [*by_way.items(), ("all", cases)]:
-        inside = [np.mean([case.is_inside(name) for case in own]) for name in ("trimmed", "untrimmed")]
+        inside = [float(np.mean([case.is_inside(name) for case in own])) for name in ("trimmed", "untrimmed")]
         ratio = [case.reported.trimmed.value / max(case.trimmed, 1e-12) for case in own]
         true = [case.trimmed for case in own]
         width = [(case.reported.trimmed.high - case.reported.trimmed.low) / case.reported.trimmed.value for case in own]
