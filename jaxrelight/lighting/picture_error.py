@@ -22,7 +22,12 @@ class Estimate:
     high: float
 
     def __str__(self) -> str:
-        return f"{100 * self.value:.2g} % ± {100 * max(self.high - self.value, self.value - self.low):.1g}"
+        return f"{_percent(self.value)} % ± {_percent(max(self.high - self.value, self.value - self.low), 1)}"
+
+
+def _percent(share: float, digits: int = 2) -> str:
+    """A share in percent, without exponents; 0 for what rounding leaves."""
+    return f"{float(f'{100 * share:.{digits}g}'):g}" if share >= 1e-6 else "0"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +53,7 @@ class PictureError:
 
     def __str__(self) -> str:
         shares = sorted(self.parts.items(), key=lambda part: -part[1])
-        said = ", ".join(f"{name} {100 * share:.2g}" for name, share in shares if share >= 5e-5)
+        said = ", ".join(f"{name} {_percent(share)}" for name, share in shares if share >= 5e-5)
         without = f"; not measured: {', '.join(self.missing)}" if self.missing else ""
         return f"{self.trimmed} from {self.reference}{': ' + said if said else ''}{without}"
 
