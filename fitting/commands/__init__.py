@@ -18,8 +18,8 @@ their logarithms), C_deviation (radians), held_out (as residual, of samples that
 half, difference: residuals between multiples of 10 degrees}, verdict (good, no_data, black, constant, uncertain,
 at_bound or poor), meaning (of that), samples, masked (those that are not finite).
 
-factors: format, form, terms, resolution, bytes (of the maps in memory); with --refine, refined {before, after:
-residuals at directions that took no part} and refining_steps.
+factors: format, form, parametrisation, terms, resolution, bytes (of the maps in memory); with --refine, refined
+{before, after: residuals at directions that took no part} and refining_steps.
 
 sbrdf: texels, images, lobes, storage, bytes (of the file), levels (width and height of each), estimated_normals,
 verdicts (texels by verdict), held_out_images, held_out {lambert, lobes: as residual, of images that took no part;

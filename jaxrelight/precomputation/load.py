@@ -105,6 +105,8 @@ def _load(
     if {record["number"] for record in header["materials"]} != set(receivers.material_of_group.tolist()):
         raise ValueError("materials and meshes do not belong together")
     codes = _whole_layer(folder / header["filtered"]) if header.get("filtered") else None
+    if codes and len(receivers.filled) != codes.groups:
+        raise InputError(f"{folder}: geometry and filtered visibility do not belong together; precompute again")
     blocks, energies, lobes = [], [(0.0, 0.0)], []
     for record in header["materials"]:
         brdf = from_record(

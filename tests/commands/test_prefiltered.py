@@ -20,7 +20,8 @@ def picture(name: str, *dials) -> np.ndarray:
     summary = summary_of(run("render", f"{name}.toml", "-o", "out.exr", *LIT_BY, *dials, "--json"))
     assert summary["lighting"] == "prefiltered"
     assert summary["lights"] == ("sky" not in name)
-    assert keys_of(summary) == KEYS["prefiltered"]
+    # Lamps are taken as they are: nothing makes their light differ from the reference's.
+    assert keys_of(summary) == KEYS["prefiltered"] - ({"error.parts.*"} if name == "lamp" else set())
     pixels = read_image("out.exr")
     assert 0.2 < summary["covered"] < 1
     return np.where(pixels[..., 3:] > 0, pixels[..., :3], 0)

@@ -61,6 +61,11 @@ _DIALS = ("--resolution", 4, "--coefficients", 8, "--factor-resolution", 8, "--t
 # Nothing is kept but visibility, from which every light bakes anew.
 EXACT = ("--receivers", "pixels", "--coefficients", "all")
 BOUNCED = ("--coefficients", "shared", "--bits", 8, "--bounces", 1, "--gather-resolution", 4)
+# Glossy lobes as rows of factors, or as filtered visibility.
+_FACTORS = "--receivers", "vertices", "--reflection", "factors"
+FILTERED = "--receivers", "vertices"
+# The last groups are of a diffuse material, and are not read.
+FILTERED_FILES = "filtered/layout.json", "filtered/first group"
 _KINDS = "environment", "factors", "geometry", "texture", "transport", "visibility"
 EXACT_FILES = "visibility/layout.json", "visibility/last group"
 # Local lights, and points that they light.
@@ -169,7 +174,7 @@ def precompute(sound: Sound, store: pathlib.Path) -> tuple:
 def _dials(options: tuple) -> tuple:
     if options == INDIRECT:
         return options
-    return (*_DIALS, *options) if "--receivers" in options else (*_DIALS, *options, "--receivers", "vertices")
+    return (*_DIALS, *options) if "--receivers" in options else (*_DIALS, *options, *_FACTORS)
 
 
 def _relighting(copy: pathlib.Path, picture: pathlib.Path, sound: Sound, good: bool) -> str:
@@ -222,8 +227,9 @@ def _on(file: str, harm: Harm) -> Harm:
         kind, _, name = file.partition("/")
         if not name:
             return harm(copy / file, other / file)
-        victim = max(_layer(copy, kind).glob("0*")) if name == "last group" else _layer(copy, kind) / name
-        names = "0*" if name == "last group" else name
+        chosen = {"last group": max, "first group": min}.get(name)
+        victim = _layer(copy, kind) / name if chosen is None else chosen(_layer(copy, kind).glob("0*"))
+        names = name if chosen is None else "0*"
         like = (path for layer in other.glob(f"{kind}-*") for path in layer.glob(names))
         return harm(victim, next(path for path in like if path.read_bytes() != victim.read_bytes()))
 

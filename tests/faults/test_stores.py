@@ -37,6 +37,13 @@ def test_damaged_visibility_that_is_lit_from(exact, file: str):
 
 
 @pytest.mark.slow
+def test_damaged_store_of_filtered_visibility(tmp_path):
+    filtered = stores.prepare(tmp_path, *stores.FILTERED)
+    for file in stores.FILTERED_FILES:
+        assert not stores.wrong(stores.damages_to(file, filtered), filtered)
+
+
+@pytest.mark.slow
 def test_damaged_store_of_what_bounces(tmp_path):
     """Clusters in codes, and light that surfaces emit."""
     bounced = stores.prepare(tmp_path, *stores.BOUNCED)
