@@ -31,8 +31,16 @@ def lights() -> list[jr.Environment]:
     return [jr.environment(of.astype(np.float32)) for of in (np.ones((16, 32, 3)), rng.gamma(0.2, size=one.shape), one)]
 
 
-@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
-@pytest.mark.parametrize("dials", [{"coefficients": 24}, {"coefficients": "shared", "bits": 8}], ids=str)
+@pytest.mark.parametrize(
+    ("receivers", "dials"),
+    [
+        pytest.param("vertices", {"coefficients": 24}, marks=pytest.mark.slow),
+        pytest.param("pixels", {"coefficients": "shared", "bits": 8}, marks=pytest.mark.slow),
+        ("pixels", {"coefficients": 24}),
+        ("vertices", {"coefficients": "shared", "bits": 8}),
+    ],
+    ids=str,
+)
 def test_no_pixel_is_further_off(tmp_path, receivers, dials):
     relighter = prepared(tmp_path, receivers, **dials)
     exact, view = relighter.exact(), relighter.view()
@@ -49,6 +57,7 @@ def test_no_pixel_is_further_off(tmp_path, receivers, dials):
     )
 
 
+@pytest.mark.slow
 def test_the_worst_light_reaches_it(tmp_path):
     """Of one pixel, the light that is as what its row leaves out."""
     relighter = prepared(tmp_path, "pixels", coefficients=24)

@@ -46,7 +46,13 @@ def test_exact_transport_is_its_own_reference(exact):
 
 
 @pytest.mark.parametrize(
-    "dials", [{}, {"reflection": "factors", "factor_resolution": 16}, {"reflection": "traced"}], ids=str
+    "dials",
+    [
+        {},
+        pytest.param({"reflection": "factors", "factor_resolution": 16}, marks=pytest.mark.slow),
+        pytest.param({"reflection": "traced"}, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 def test_all_pixels_tell_the_error_of_the_picture(dials, exact, folder):
     """Where the sample is the whole picture, the error is what `image_error` says, each part of it included."""
@@ -66,6 +72,7 @@ def test_all_pixels_tell_the_error_of_the_picture(dials, exact, folder):
 LOBES = "lobes and their visibility"
 
 
+@pytest.mark.slow
 def test_bounces_are_named_and_not_counted(folder):
     plain, bounced = (
         jr.prepare(scene(), jr.Transport("vertices", resolution=8, bounces=bounces, factor_resolution=8), folder)
@@ -139,7 +146,11 @@ def test_nothing_seen_and_nothing_lit_have_no_error(folder):
 
 
 @pytest.mark.parametrize(
-    "method", [jr.Transport("pixels", resolution=8), jr.Prefiltered(map_rows=64)], ids=["pixels", "prefiltered"]
+    "method",
+    [
+        pytest.param(jr.Transport("pixels", resolution=8), id="pixels"),
+        pytest.param(jr.Prefiltered(map_rows=64), id="prefiltered", marks=pytest.mark.slow),
+    ],
 )
 def test_lobes_narrower_than_texels_are_measured_as_lobes(method, tmp_path):
     """Sums over texels would meet them by chance, and report an error of any size."""
