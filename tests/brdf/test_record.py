@@ -31,7 +31,8 @@ BRDFS = {
     ),
     "tabulated": lambda dtype: Tabulated(jnp.asarray(np.random.default_rng(0).random((2, 3, 4, 3)).astype(dtype))),
     "separable": lambda dtype: Separable(
-        *(jnp.asarray(np.random.default_rng(i).random((2, c, 4, 4)).astype(dtype)) for i, c in enumerate((1, 3))),
+        jnp.asarray(np.random.default_rng(0).random((2, 1, 4, 4)).astype(dtype)),
+        jnp.asarray(np.random.default_rng(1).random((2, 3, 4, 4)).astype(dtype)),
         POLAR,
     ),
     "spatial": lambda dtype: jax.tree.map(lambda x: jnp.asarray(np.asarray(x, dtype)), with_level()),

@@ -119,8 +119,9 @@ def test_the_steps_are_the_picture(relighter, traced_once):
     np.testing.assert_array_equal(relighter.picture([]), np.concatenate([0 * image, alpha[..., None]], axis=2))
 
 
-def test_every_picture_measures_its_error(relighter, traced_once):
+def test_every_picture_measures_its_error(relighter, traced_once, monkeypatch):
     """Of rays that are cast once a view; a picture that is wrong by a half is told to be."""
+    monkeypatch.setattr("jaxrelight.lighting.prefiltered._REFERENCE_RESOLUTION", 8)
     view, lit, traced, _ = traced_once
     picture = relighter.shade(lit, view, traced)
     error = picture.error

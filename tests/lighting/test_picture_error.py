@@ -148,7 +148,7 @@ def test_nothing_seen_and_nothing_lit_have_no_error(folder):
 @pytest.mark.parametrize(
     "method",
     [
-        pytest.param(jr.Transport("pixels", resolution=8), id="pixels"),
+        pytest.param(jr.Transport("pixels", resolution=8), id="pixels", marks=pytest.mark.slow),
         pytest.param(jr.Prefiltered(map_rows=64), id="prefiltered", marks=pytest.mark.slow),
     ],
 )

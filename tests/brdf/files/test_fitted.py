@@ -64,7 +64,10 @@ def test_what_is_not_finite_is_not_written(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "write", "material"),
-    [("a.toml", write_lobes, LOBES["shared"]), ("a.npz", write_factors, Separable(*[jnp.ones((2, 3, 4, 4))] * 2))],
+    [
+        ("a.toml", write_lobes, LOBES["shared"]),
+        ("a.npz", write_factors, Separable(jnp.ones((2, 3, 4, 4)), jnp.ones((2, 3, 4, 4)))),
+    ],
     ids=["lobes", "factors"],
 )
 def test_a_failed_write_leaves_the_earlier_file(tmp_path, monkeypatch, name, write, material):
