@@ -37,6 +37,8 @@ class Factoring:
     def __post_init__(self) -> None:
         if self.terms is not None and self.terms < 1:
             raise InputError(f"'terms' must be at least 1, not {self.terms}")
+        if self.form == "normalised" and self.terms not in (None, 1):
+            raise InputError(f"the form 'normalised' has a single term, not {self.terms}; remove 'terms'")
         if self.error is not None and not 0 < self.error < 1:
             raise InputError(f"'terms_error' must lie between 0 and 1, not {self.error}")
         check_choice("'form'", self.form, get_args(Form))

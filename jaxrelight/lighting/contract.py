@@ -218,9 +218,12 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         radiance = np.asarray(image.radiance).reshape(-1, 3)
         chosen, weights = reference.samples(radiance)
         of_samples = [radiance[sample.pixels] for sample in chosen]
-        exact = joined([sample.radiance(lit) for sample in chosen])
+        lengths = [len(sample.pixels) for sample in chosen]
+        exact = joined([sample.radiance(lit) for sample in chosen], lengths)
         every = [self.pictured(own, lit, sample) for own, sample in zip(of_samples, chosen, strict=True)]
-        pictured = Pictured(joined([one.by_means for one in every]), np.concatenate([one.alike for one in every]))
+        pictured = Pictured(
+            joined([one.by_means for one in every], lengths), np.concatenate([one.alike for one in every])
+        )
         missing = self.not_measured(lit)
         own, counts = np.concatenate(of_samples), np.concatenate(weights)
         return measured_error(own, counts, pictured, exact, reference.further(lit), reference.name, missing)

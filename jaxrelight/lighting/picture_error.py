@@ -99,11 +99,12 @@ class Pictured(NamedTuple):
     alike: Float[np.ndarray, "s 3"]
 
 
-def joined(samples: Sequence[Mapping[str, Float[np.ndarray, "_ 3"]]]) -> dict[str, Float[np.ndarray, "s 3"]]:
-    """What several samples have, one after the other; of means that one of them is without, nothing there."""
-    lengths = [max((len(of) for of in sample.values()), default=0) for sample in samples]
+def joined(
+    samples: Sequence[Mapping[str, Float[np.ndarray, "_ 3"]]], counts: Sequence[int]
+) -> dict[str, Float[np.ndarray, "s 3"]]:
+    """What several samples of so many pixels have, one after the other; of means that one is without, nothing there."""
     names = dict.fromkeys(name for sample in samples for name in sample)
-    nothing = [np.zeros((length, 3)) for length in lengths]
+    nothing = [np.zeros((length, 3)) for length in counts]
     return {
         name: np.concatenate([sample.get(name, none) for sample, none in zip(samples, nothing, strict=True)])
         for name in names

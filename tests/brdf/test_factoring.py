@@ -85,6 +85,7 @@ def test_maps_of_lobes_share_factors_of_one_form_alone():
     ("wrong", "message"),
     [
         ({"terms": 0}, "'terms' must be at least 1"),
+        ({"form": "normalised", "terms": 3}, "a single term, not 3; remove 'terms'"),
         ({"error": 1.5}, "'terms_error' must lie between 0 and 1"),
         ({"form": "eigen"}, "'form' .*'svd'"),
         ({"parametrisation": "square"}, "'parametrisation' .*'disc' or 'polar'"),
