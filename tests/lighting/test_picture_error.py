@@ -7,8 +7,8 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.images import image_error
-from jaxrelight.lighting.picture_error import Pictured, Shared, drawn_pixels, measured_error
-from jaxrelight.lighting.reference import FINER
+from jaxrelight.lighting.picture_error import Pictured, Shared, drawn_pixels, joined, measured_error
+from jaxrelight.lighting.reference import FINER, Reference, Sample
 from tests.scenes import ball_over_floor
 
 CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.2, 0), fov_y=45, width=32, height=24)
@@ -105,6 +105,38 @@ def test_a_sample_has_one_pixel_of_each_run():
     np.testing.assert_array_equal(drawn_pixels(pixels, 2000), pixels)
     assert len(set(drawn_pixels(pixels, 700))) == 700
     assert (drawn_pixels(pixels, 50, seed=1) != chosen).any()
+
+
+class Nothing(Reference):
+    """Of which pixels alone are asked for."""
+
+    name = "nothing"
+
+    def of(self, pixels):
+        return Sample(pixels, None, lambda lit: {})
+
+
+def test_samples_stand_for_all_pixels_however_they_are_drawn():
+    """Weighted counts, sums and energies are those of the picture, of which a few pixels have nearly all."""
+    rng, shown = np.random.default_rng(0), np.arange(50, 4050)
+    radiance = np.zeros((5000, 3))
+    radiance[shown] = rng.lognormal(0, 2, (4000, 1))
+    told = []
+    for seed in range(40):
+        samples, weights = Nothing(shown, 256, seed).samples(radiance)
+        assert [len(samples[0].pixels), int(weights[1].sum() > 0)] == [192, 1]
+        own = np.concatenate([radiance[sample.pixels, 0] for sample in samples])
+        every = np.concatenate(weights)
+        told.append([every.sum(), every @ own, every @ own**2])
+    wanted = [4000, radiance[:, 0].sum(), (radiance[:, 0] ** 2).sum()]
+    np.testing.assert_allclose(np.mean(told, axis=0), wanted, rtol=0.03)
+    # Nearly the same energy in every draw: pixels are drawn by it.
+    assert np.std(told, axis=0)[2] < 0.1 * wanted[2]
+
+
+def test_samples_that_see_nothing_lit_have_rows_of_nothing():
+    both = joined([{}, {"a": np.ones((2, 3))}], [3, 2])
+    np.testing.assert_array_equal(both["a"], np.repeat([0.0, 1], [3, 2])[:, None] * np.ones(3))
 
 
 def test_intervals_hold_the_error_of_the_whole():
