@@ -290,6 +290,13 @@ _FORMS = {"svd": _svd, "symmetric": _symmetric, "normalised": _normalised, "nonn
 
 def _fewest(samples: Samples, form: Form, terms: int, error: float) -> Factored | Symmetric:
     """The factors of the fewest terms whose error is small enough."""
+    first = 0
+    if form == "nonnegative":
+        # Many terms take minutes: few are tried first, and twice as many each time.
+        tried = 1
+        while tried < terms and _errors(samples, _nonnegative(samples, tried))[-1] > error:
+            first, tried = tried, 2 * tried
+        terms = min(tried, terms)
     factors = _FORMS[form](samples, terms)
     errors = _errors(samples, factors)
     if errors[-1] > error:
@@ -298,7 +305,7 @@ def _fewest(samples: Samples, form: Form, terms: int, error: float) -> Factored 
         )
     if form != "nonnegative":  # whose first terms are not those of fewer
         return jax.tree.map(lambda maps: maps[: int(np.argmax(errors <= error)) + 1], factors)
-    low, high = 0, terms
+    low, high = first, terms
     while high - low > 1:
         middle = (low + high) // 2
         fewer = _nonnegative(samples, middle)

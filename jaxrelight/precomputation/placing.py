@@ -154,7 +154,10 @@ class PlacedScene:
                 of_filtered = filtered and has_lobes(brdf)
                 reflection, factors, left = None, None, None
                 if not of_filtered or self.method.bounces:
-                    reflection, factors, left = factors_of(self.folder, brdf, described, asked, self.method)
+                    try:
+                        reflection, factors, left = factors_of(self.folder, brdf, described, asked, self.method)
+                    except InputError as error:
+                        raise InputError(f"{self.scene.name}: material '{name}': {error}") from None
                 if left and reflection and not of_filtered:
                     shapes = f"shapes that stand for all texels are {left.shapes:.1%} off, and " if left.shapes else ""
                     of_what = f"{left.terms:.0%} of {'them' if left.shapes else 'its BRDF'}"
