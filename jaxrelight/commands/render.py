@@ -35,7 +35,7 @@ class Render:
     lighting: Literal["auto", "transport", "indirect", "prefiltered", "adaptive"] = "auto"
     """The lighting method. 'transport' is precomputed for an environment, with shadows and glossy materials; local
     lights add direct light. 'indirect' is precomputed for this camera and lights anywhere, whose light surfaces pass
-    on. 'prefiltered' is quick, and its environment casts no shadows; materials must be sums of lobes. 'adaptive'
+    on. 'prefiltered' is quick, and its environment casts soft shadows; materials must be sums of lobes. 'adaptive'
     samples the environment, with shadows and any material, as often as a picture of a given quality needs. 'auto' is
     indirect for a scene with local lights alone, and transport otherwise."""
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()

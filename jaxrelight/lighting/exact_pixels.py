@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from jaxrelight.basis import cubemap, latlong
+from jaxrelight.basis import cubemap
 from jaxrelight.basis.cubemap import Texels
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import has_lobes
@@ -27,7 +27,7 @@ from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radia
 from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, VisibleSurfaces
-from jaxrelight.lights.environment import Environment, coarsened
+from jaxrelight.lights.environment import Environment, texels_of
 from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.threads import in_parts
@@ -98,13 +98,6 @@ class ExactPixels(eqx.Module):
             real = np.flatnonzero(pixel < len(own))
             own[pixel[real]] += np.asarray(of.radiance(maps, environment))[real]
         return radiance
-
-
-def texels_of(environment: Environment, resolution: int) -> Float[Array, "d 3"]:
-    """Mean radiance of the texels of a cube map."""
-    pixels = coarsened(environment.pixels, resolution)
-    resampling = latlong.area_resampling(*pixels.shape[:2], resolution)
-    return _scaled(resampling.apply(latlong.rotate(pixels, environment.rotate_y)), environment.scale)
 
 
 def traced_bits(surfaces: VisibleSurfaces, resolution: int) -> UInt8[np.ndarray, "p bytes"]:
@@ -178,8 +171,3 @@ def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions, without
 def _applied(rows: Float[Array, "3 s d"], texels: Float[Array, "d 3"]) -> Float[Array, "s 3"]:
     # Product by product, as they lie in memory.
     return jnp.stack([jnp.matmul(rows[c], texels[:, c], precision="highest") for c in range(3)], axis=1)
-
-
-@jax.jit
-def _scaled(texels: Float[Array, "d 3"], scale) -> Float[Array, "d 3"]:
-    return texels * jnp.asarray(scale, texels.dtype)

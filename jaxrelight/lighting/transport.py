@@ -31,6 +31,14 @@ from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.reference import ExactTransport, Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
+from jaxrelight.lighting.transport_means import (
+    LOBES,
+    blocks_by_means,
+    direct_parts,
+    named_components,
+    terms_alone,
+    without_bounces,
+)
 from jaxrelight.lighting.visible_surfaces import (
     Corners,
     SurfaceMaterial,
@@ -41,18 +49,18 @@ from jaxrelight.lighting.visible_surfaces import (
     surface_component,
     trace_view,
 )
-from jaxrelight.lights.environment import Environment, coarsened, encode
+from jaxrelight.lights.environment import Environment, coarsened, encode, texels_of
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import Operator, Summed, parts_of
+from jaxrelight.operators.contract import Operator, Summed
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Block, FilteredLobes, PrecomputedTransport
+from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
 LightTerms = tuple[Float[Array, "*n _ _ _"], ...]
@@ -255,11 +263,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return TransportLight(environment, terms, group_lights(lights.local), self._maps(environment))
 
     def _terms_with_sun(self, environment: Environment) -> LightTerms:
-        pixels = coarsened(environment.pixels, self.method.resolution)
-        resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution)
-        # Programs of their own: together they take half as long again.
-        whole = resampling.apply(latlong.rotate(pixels, environment.rotate_y))
-        rest, sun, texels, radiance = _split(whole, environment.scale, self.transport.basis)
+        whole = texels_of(environment, self.method.resolution)
+        rest, sun, texels, radiance = _split(whole, self.transport.basis)
         terms = self.terms(rest)
         known = jax.lax.stop_gradient(radiance)
         if not is_traced(known) and not np.asarray(known).any():
@@ -314,12 +319,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             return some, some.surfaces
 
         def named(number: int) -> list[NamedComponent]:
-            material = self.materials[number]
-            own = _direct_parts(material.name, self.transport)
-            return [
-                NamedComponent(means_of(part, self.method.receivers), component)
-                for part, component in zip(own, material.components, strict=True)
-            ]
+            return named_components(self.transport, self.materials[number])
 
         return ExactTransport(view.surfaces, taken, named, self.method.resolution, samples, seed)
 
@@ -329,25 +329,15 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         whole = np.asarray(self.shade(lit, view).radiance)[0]
         if lit.environment is None:
             return Pictured({}, whole)
-        blocks, terms = self.transport.blocks, lit.terms
+        terms = lit.terms
         if self.method.bounces:
-            direct = [parts_of(block.operator)[0] if block.has_direct else block.operator for block in blocks]
-            blocks = tuple(
-                dataclasses.replace(block, operator=operator, emitted=None)
-                for block, operator in zip(blocks, direct, strict=True)
-            )
-            alone = TransportRelighter(dataclasses.replace(self.transport, blocks=blocks))
-            terms = alone.light(lit.environment).terms
-        receivers = self.method.receivers
-        means = {number: means_of(block, receivers) for number, block in enumerate(blocks) if block.has_direct}
-        nothing = tuple(jnp.zeros_like(of) for of in terms)
-        emission, by_means = np.asarray(self.shade_terms(nothing, view))[0], {}
-        for name in dict.fromkeys(means.values()):
-            own = tuple(of if means.get(number) == name else nothing[number] for number, of in enumerate(terms))
-            by_means[name] = np.asarray(self.shade_terms(own, view))[0] - emission
+            terms = TransportRelighter(without_bounces(self.transport)).light(lit.environment).terms
+        by_means, emission = {}, np.asarray(self.shade_terms(terms_alone(terms, ()), view))[0]
+        for name, numbers in blocks_by_means(self.transport).items():
+            by_means[name] = np.asarray(self.shade_terms(terms_alone(terms, numbers), view))[0] - emission
         lobes = self.shade_lobes(lit, view)
         if lobes is not None:
-            by_means[means_of(self.transport.lobes[0], receivers)] = np.asarray(lobes)[0]
+            by_means[LOBES] = np.asarray(lobes)[0]
         return Pictured(by_means, whole - sum(by_means.values(), np.zeros_like(whole)))
 
     def not_measured(self, lit: TransportLight) -> tuple[str, ...]:
@@ -387,10 +377,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         """
         light = self._light_vector_of(environment)
         if self.method.split_sun and self.method.coefficients != "all" and not self.method.bounces:
-            pixels = coarsened(environment.pixels, self.method.resolution)
-            resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution)
-            whole = resampling.apply(latlong.rotate(pixels, environment.rotate_y))
-            light = _split(whole, environment.scale, self.transport.basis)[0]
+            light = _split(texels_of(environment, self.method.resolution), self.transport.basis)[0]
         bounds = tuple(_largest_errors(block.dropped, light, block) for block in self.transport.blocks)
         return self._shaded_terms(bounds, view, tuple(block.weight for block in self.transport.blocks), bound=True)
 
@@ -439,26 +426,11 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return behind(surfaces.background(lit.environment), surfaces.covered)
 
 
-def means_of(part: Block | FilteredLobes, receivers: str) -> str:
-    """What makes direct light of one BRDF other than exact, as messages call it."""
-    if isinstance(part, FilteredLobes):
-        return "lobes and their visibility"
-    if receivers == "pixels":
-        return "coefficients"
-    return "coefficients and interpolation" if part.reflection.is_constant else "factors"
-
-
-def _direct_parts(name: str, transport: PrecomputedTransport) -> list[Block | FilteredLobes]:
-    """What has the direct light of a material: filtered lobes whose bounces are a block are the same BRDF."""
-    parts = [part for part in (*transport.blocks, *transport.lobes) if part.material == name]
-    return [part for part in parts if isinstance(part, FilteredLobes) or part.has_direct]
-
-
 def _material(name: str, transport: PrecomputedTransport) -> SurfaceMaterial:
     """Puts a material together from its blocks and lobes."""
     parts = [part for part in (*transport.blocks, *transport.lobes) if part.material == name]
     emission = next((part.emission for part in parts if part.emission is not None), None)
-    components = tuple(surface_component(part.brdf, part.weight) for part in _direct_parts(name, transport))
+    components = tuple(surface_component(part.brdf, part.weight) for part in direct_parts(transport, name))
     return SurfaceMaterial(name, components, emission)
 
 
@@ -478,9 +450,9 @@ def _traced_view(
 
 
 @jax.jit
-def _split(texels, scale, basis):
+def _split(texels, basis):
     """Light vectors of an environment without its sun, and of the sun; its texels and their radiance."""
-    split = split_sun(texels * jnp.asarray(scale, texels.dtype))
+    split = split_sun(texels)
     rest, sun = basis.encode(jnp.stack([split.rest.T, split.sun.T]))
     return rest.T, sun.T, split.texels, split.radiance
 
