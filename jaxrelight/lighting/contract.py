@@ -219,14 +219,15 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         chosen, weights = reference.samples(radiance)
         of_samples = [radiance[sample.pixels] for sample in chosen]
         lengths = [len(sample.pixels) for sample in chosen]
-        exact = joined([sample.radiance(lit) for sample in chosen], lengths)
+        exact_of = [sample.radiance(lit) for sample in chosen]
         every = [self.pictured(own, lit, sample) for own, sample in zip(of_samples, chosen, strict=True)]
         pictured = Pictured(
             joined([one.by_means for one in every], lengths), np.concatenate([one.alike for one in every])
         )
-        missing = self.not_measured(lit)
         own, counts = np.concatenate(of_samples), np.concatenate(weights)
-        return measured_error(own, counts, pictured, exact, reference.further(lit), reference.name, missing)
+        exact, even, missing = joined(exact_of, lengths), exact_of[0], self.not_measured(lit)
+        further, divided = reference.further(lit, even), reference.divided(lit, even)
+        return measured_error(own, counts, pictured, exact, further, divided, reference.name, missing)
 
     def picture(
         self, lights: LightsLike = None, camera: Camera | None = None, *, background: bool = True

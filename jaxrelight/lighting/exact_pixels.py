@@ -6,6 +6,7 @@ light of the texels (Wang 2006 eq. 3), as those of pixel receivers without compr
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.cubemap import Texels
@@ -37,6 +38,8 @@ from jaxrelight.transport.visibility import trace_visibility
 
 # Pixels whose rays a thread traces at a time.
 _RAY_CHUNK = 16
+# Bytes of visibility that are kept for pixels of other lights.
+_MOST_KEPT = 64 * 2**20
 # Rays of a pixel in lobes that are narrower than texels.
 _SHARP_RAYS = 512
 
@@ -72,44 +75,89 @@ class SharpLobes(eqx.Module):
         return filtered_radiance(self.lobes, self.pixels, *nobody, self.shares, maps, turn, scale, others)
 
 
-class ExactPixels(eqx.Module):
+class ComponentRows(NamedTuple):
+    """Exact rows of one component of the pixels of one part.
+
+    Attributes:
+        means: by which pictures have it.
+        pixel: places in the picture; its length for filling.
+        rows: radiance by the light of texels, of each channel.
+    """
+
+    means: str
+    pixel: Int[np.ndarray, " p"]
+    rows: Float[Array, "3 p d"]
+
+
+class ExactPixels(NamedTuple):
     """Exact transport of the pixels of a picture of a single row.
 
     Attributes:
-        rows: radiance by the light of texels, of each channel, and of each means by which pictures have it; all of
-            them add up.
+        rows: of all components; they add up.
         sharp: what rows do not have of lobes that are narrower than texels.
+        count: of pixels.
         resolution: side of the cube map's faces.
     """
 
-    rows: dict[str, Float[Array, "3 s d"]]
+    rows: tuple[ComponentRows, ...]
     sharp: tuple[SharpLobes, ...]
-    resolution: int = eqx.field(static=True)
+    count: int
+    resolution: int
 
     def radiance(self, environment: Environment) -> dict[str, Float[np.ndarray, "s 3"]]:
-        """What the pixels reflect of an environment, its sun included; of each means."""
+        """What the pixels reflect of an environment, its sun included; by each means."""
         texels = texels_of(environment, self.resolution)
-        radiance = {means: np.array(_applied(rows, texels)) for means, rows in self.rows.items()}
+        radiance = {of.means: np.zeros((self.count, 3), np.float32) for of in self.rows}
+
+        def add(means: str, pixel: Int[np.ndarray, " p"], own: Array) -> None:
+            real = np.flatnonzero(pixel < self.count)
+            radiance[means][pixel[real]] += np.asarray(own)[real]
+
+        for of in self.rows:
+            add(of.means, of.pixel, _applied(of.rows, texels))
         if self.sharp:
             maps = maps_of(environment, between=exponents_of([of.lobes for of in self.sharp]))
-        for of in self.sharp:
-            own = radiance[of.means]
-            pixel = np.asarray(of.pixels.pixel)
-            real = np.flatnonzero(pixel < len(own))
-            own[pixel[real]] += np.asarray(of.radiance(maps, environment))[real]
+            for of in self.sharp:
+                add(of.means, np.asarray(of.pixels.pixel), of.radiance(maps, environment))
         return radiance
 
 
-def traced_bits(surfaces: VisibleSurfaces, resolution: int) -> UInt8[np.ndarray, "p bytes"]:
-    """What the points of a view see of the texels of a cube map. Rays are cast on the host."""
-    points, directions = surfaces.points, cubemap.directions(resolution)
-    origins, normals = np.asarray(points.origins), np.asarray(points.normals)
+class PixelVisibility:
+    """What pixels of a view see of the texels of a cube map: rays are cast once, on the host, and their bits kept."""
 
-    def trace(some: slice) -> np.ndarray:
-        lifted = np.zeros_like(origins[some])
-        return trace_visibility(points.tracer, origins[some], normals[some], lifted, directions)[0]
+    def __init__(self, resolution: int):
+        self.resolution = resolution
+        self._bits: dict[int, UInt8[np.ndarray, " bytes"]] = {}
 
-    return np.concatenate(in_parts(trace, len(origins), _RAY_CHUNK))
+    def of(self, surfaces: VisibleSurfaces, pixels: Int[np.ndarray, " s"]) -> UInt8[np.ndarray, "p bytes"]:
+        """Bits of the points of some pixels; none of filling.
+
+        Args:
+            surfaces: of the pixels alone, as a picture of a single row.
+            pixels: their places in the picture that all of them are from.
+        """
+        points = surfaces.points
+        origins, normals = np.asarray(points.origins), np.asarray(points.normals)
+        pixel_of = np.full(len(origins), -1)
+        for part in surfaces.parts:
+            own = np.asarray(part.pixels.pixel)
+            mine = pixel_of[int(part.start) :][: len(own)]
+            mine[own < len(pixels)] = pixels[own[own < len(pixels)]]
+        known = np.isin(pixel_of, [-1, *self._bits])
+        new, directions = np.flatnonzero(~known), cubemap.directions(self.resolution)
+
+        def trace(some: slice) -> np.ndarray:
+            lifted = np.zeros_like(origins[new[some]])
+            return trace_visibility(points.tracer, origins[new[some]], normals[new[some]], lifted, directions)[0]
+
+        traced = in_parts(trace, len(new), _RAY_CHUNK)
+        if (len(self._bits) + len(new)) * len(directions) > 8 * _MOST_KEPT:
+            self._bits = {number: self._bits[number] for number in pixel_of[known] if number >= 0}
+        self._bits |= dict(zip(pixel_of[new].tolist(), itertools.chain(*traced), strict=True))
+        bits = np.zeros((len(origins), len(directions) // 8), np.uint8)
+        for point in np.flatnonzero(pixel_of >= 0):
+            bits[point] = self._bits[pixel_of[point]]
+        return bits
 
 
 def exact_pixels(
@@ -124,10 +172,10 @@ def exact_pixels(
         surfaces: the picture, of few pixels.
         components: of the material of each part.
         resolution: side of the cube map's faces.
-        bits: of its points, from `traced_bits`.
+        bits: of its points, from `PixelVisibility`.
     """
     directions, count = bake.directions_for(resolution), surfaces.covered.size
-    rows: dict[str, np.ndarray] = {}
+    rows: list[ComponentRows] = []
     sharp: list[SharpLobes] = []
     for part, named in zip(surfaces.parts, components, strict=True):
         length, pixel = len(part.pixels.pixel), np.asarray(part.pixels.pixel)
@@ -143,11 +191,8 @@ def exact_pixels(
                 shares = traced_shares(brdf, pixels, surfaces.points, int(part.start), _SHARP_RAYS)
                 sharp.append(SharpLobes(means, pixels, FilteredLobes("", brdf, weight, None, 1, 0), shares))
             baked = _rows(jnp.asarray(bits[mine]), brdf, weight, pixels, directions, is_sharp)
-            held = rows.setdefault(means, np.zeros((3, count, 6 * resolution**2), np.float32))
-            # Without filling.
-            real = np.flatnonzero(pixel < count)
-            held[:, pixel[real]] += np.asarray(baked)[:, real]
-    return ExactPixels({means: jax.device_put(of) for means, of in rows.items()}, tuple(sharp), resolution)
+            rows.append(ComponentRows(means, pixel, baked))
+    return ExactPixels(tuple(rows), tuple(sharp), count, resolution)
 
 
 @functools.partial(jax.jit, static_argnames="without_lobes")
@@ -168,6 +213,6 @@ def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions, without
 
 
 @jax.jit
-def _applied(rows: Float[Array, "3 s d"], texels: Float[Array, "d 3"]) -> Float[Array, "s 3"]:
-    # Product by product, as they lie in memory.
-    return jnp.stack([jnp.matmul(rows[c], texels[:, c], precision="highest") for c in range(3)], axis=1)
+def _applied(rows: Float[Array, "3 p d"], texels: Float[Array, "d 3"]) -> Float[Array, "p 3"]:
+    # As one product: three of matrices by vectors take ten times as long.
+    return jnp.einsum("cpd,dc->pc", rows, texels, precision="highest")

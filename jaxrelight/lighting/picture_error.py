@@ -133,6 +133,7 @@ def measured_error(
     pictured: Pictured,
     exact: Mapping[str, Float[np.ndarray, "s 3"]],
     further: Mapping[str, Shared],
+    divided: Mapping[str, Mapping[str, float]],
     reference: str,
     missing: tuple[str, ...] = (),
 ) -> PictureError:
@@ -144,6 +145,7 @@ def measured_error(
         pictured: what it consists of.
         exact: radiance of the reference, by the same means.
         further: relative errors that both have, by name, added by squares.
+        divided: by means that several things make other than exact, how much each of those does, in any unit.
         reference: what it is.
         missing: what is not measured.
     """
@@ -152,7 +154,11 @@ def measured_error(
     distance, size = _squares(radiance - wanted), _squares(wanted)
     also = [sum(getattr(of, name) ** 2 for of in further.values()) for name in Shared._fields]
     keep = _kept(distance, weights) * weights
-    parts = {means: _ratio(float(_squares(of) @ keep), float(size @ keep)) for means, of in apart.items()}
+    parts: dict[str, float] = {}
+    for means, of in apart.items():
+        error = _ratio(float(_squares(of) @ keep), float(size @ keep))
+        for name, share in _shares(divided.get(means, {means: 1.0})).items():
+            parts[name] = float(np.hypot(parts.get(name, 0.0), error * share))
     return PictureError(
         trimmed=_estimate(_trimmed, distance, size, weights, also[0]),
         untrimmed=_estimate(_untrimmed, distance, size, weights, also[1]),
@@ -161,6 +167,12 @@ def measured_error(
         missing=missing,
         samples=len(size),
     )
+
+
+def _shares(lengths: Mapping[str, float]) -> dict[str, float]:
+    """Parts of a whole, whose squares add up to 1."""
+    whole = float(np.linalg.norm(list(lengths.values())))
+    return {name: length / whole if whole > 0 else 0.0 for name, length in lengths.items()}
 
 
 def _squares(values: Float[np.ndarray, "s 3"]) -> Float[np.ndarray, " s"]:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxrelight.lighting.exact_pixels import ExactPixels, NamedComponent, exact_pixels, traced_bits
+from jaxrelight.lighting.exact_pixels import ExactPixels, NamedComponent, PixelVisibility, exact_pixels
 from jaxrelight.lighting.picture_error import Shared, bright_pixels, drawn_pixels, shared_error
 from jaxrelight.lighting.visible_surfaces import VisibleSurfaces
 from jaxrelight.lights.environment import Environment
@@ -77,11 +77,21 @@ class Reference(abc.ABC):
         weights = [1 / expected[np.searchsorted(shown, even.pixels)], times / expected[place]]
         return [even, bright], weights
 
-    def further(self, lit: Any) -> dict[str, Shared]:
+    def further(self, lit: Any, even: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, Shared]:
         """Relative errors that the picture shares with the reference, by name.
 
         Args:
             lit: the light.
+            even: radiance of the pixels that are drawn evenly, under it.
+        """
+        return {}
+
+    def divided(self, lit: Any, even: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, dict[str, float]]:
+        """By means that several things make other than exact, how much of it each of those brings about, by its name.
+
+        Args:
+            lit: the light.
+            even: radiance of the pixels that are drawn evenly, under it.
         """
         return {}
 
@@ -91,6 +101,9 @@ class ExactTransport(Reference):
 
     Its own error, of one ray a texel and of texels themselves, is measured on a few pixels with four rays and texels
     in place of each.
+
+    Attributes:
+        few: those pixels.
     """
 
     name = "exact transport"
@@ -114,20 +127,20 @@ class ExactTransport(Reference):
             count: of the sample.
             seed: of the sample.
         """
-        self._taken, self._named, self._resolution = taken, named, resolution
+        self._taken, self._named, self._visibility = taken, named, PixelVisibility(resolution)
         super().__init__(surfaces.pixels, count, seed)
-        few = np.sort(np.random.default_rng(seed).permutation(self.even.pixels)[:_FEW])
-        self._coarse = np.searchsorted(self.even.pixels, few)
-        self._finer = self._exact(few, 2 * resolution)[1]
+        self.few = np.sort(np.random.default_rng(seed).permutation(self.even.pixels)[:_FEW])
+        self._coarse = np.searchsorted(self.even.pixels, self.few)
+        self._finer = self._exact(self.few, PixelVisibility(2 * resolution))[1]
 
-    def _exact(self, pixels: Int[np.ndarray, " s"], resolution: int) -> tuple[Any, ExactPixels]:
+    def _exact(self, pixels: Int[np.ndarray, " s"], visibility: PixelVisibility) -> tuple[Any, ExactPixels]:
         view, seen = self._taken(pixels)
         components = [self._named(part.material) for part in seen.parts]
-        return view, exact_pixels(seen, components, resolution, traced_bits(seen, resolution))
+        return view, exact_pixels(seen, components, visibility.resolution, visibility.of(seen, pixels))
 
     def of(self, pixels: Int[np.ndarray, " s"]) -> Sample:
         """Some pixels, under the light's environment; nothing without one."""
-        view, exact = self._exact(pixels, self._resolution)
+        view, exact = self._exact(pixels, self._visibility)
 
         def radiance(lit: Any) -> dict[str, Float[np.ndarray, "s 3"]]:
             environment: Environment | None = lit.environment
@@ -135,12 +148,11 @@ class ExactTransport(Reference):
 
         return Sample(pixels, view, radiance)
 
-    def further(self, lit: Any) -> dict[str, Shared]:
+    def further(self, lit: Any, even: Mapping[str, Float[np.ndarray, "s 3"]]) -> dict[str, Shared]:
         """What rays and texels that are finer change."""
         if lit.environment is None:
             return {}
-        every = self.even.radiance(lit), self._finer.radiance(lit.environment)
-        coarse, fine = (np.sum(list(of.values()), axis=0) for of in every)
+        coarse, fine = (np.sum(list(of.values()), axis=0) for of in (even, self._finer.radiance(lit.environment)))
         return {FINER: shared_error(fine - coarse[self._coarse], fine)}
 
 

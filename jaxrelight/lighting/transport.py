@@ -24,6 +24,7 @@ from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
+from jaxrelight.lighting.exact_receivers import ExactAtVertices
 from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
 from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.picture_error import Pictured
@@ -321,7 +322,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         def named(number: int) -> list[NamedComponent]:
             return named_components(self.transport, self.materials[number])
 
-        return ExactTransport(view.surfaces, taken, named, self.method.resolution, samples, seed)
+        exact = view.surfaces, taken, named, self.method.resolution, samples, seed
+        return ExactAtVertices(self, *exact) if self.method.receivers == "vertices" else ExactTransport(*exact)
 
     def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: TransportLight, sample: Sample) -> Pictured:
         """Direct light of the environment by filtered lobes, and by the rows of each kind of reflection."""
@@ -329,9 +331,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         whole = np.asarray(self.shade(lit, view).radiance)[0]
         if lit.environment is None:
             return Pictured({}, whole)
-        terms = lit.terms
-        if self.method.bounces:
-            terms = TransportRelighter(without_bounces(self.transport)).light(lit.environment).terms
+        terms = self.direct_terms(lit)
         by_means, emission = {}, np.asarray(self.shade_terms(terms_alone(terms, ()), view))[0]
         for name, numbers in blocks_by_means(self.transport).items():
             by_means[name] = np.asarray(self.shade_terms(terms_alone(terms, numbers), view))[0] - emission
@@ -339,6 +339,12 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         if lobes is not None:
             by_means[LOBES] = np.asarray(lobes)[0]
         return Pictured(by_means, whole - sum(by_means.values(), np.zeros_like(whole)))
+
+    def direct_terms(self, lit: TransportLight) -> LightTerms:
+        """Light terms without what bounces bring."""
+        if not self.method.bounces or lit.environment is None:
+            return lit.terms
+        return TransportRelighter(without_bounces(self.transport)).light(lit.environment).terms
 
     def not_measured(self, lit: TransportLight) -> tuple[str, ...]:
         """What bounces bring."""

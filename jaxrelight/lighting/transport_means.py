@@ -11,8 +11,12 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial
 from jaxrelight.operators.contract import parts_of
 from jaxrelight.transport.model import Block, FilteredLobes, PrecomputedTransport
 
-# What makes filtered lobes other than exact, as messages call it.
-LOBES = "lobes and their visibility"
+# What makes direct light other than exact, as messages call it: of filtered lobes, of rows of pixels, and of rows of
+# vertices of a BRDF that is the same from all sides and of others.
+LOBES, COEFFICIENTS = "lobes and their visibility", "coefficients"
+_CONSTANT, _FACTORS = "coefficients and interpolation", "coefficients, factors and interpolation"
+# What is left of those of vertices without coefficients.
+REST = {_CONSTANT: "interpolation", _FACTORS: "factors and interpolation"}
 
 
 def direct_parts(transport: PrecomputedTransport, material: str) -> list[Block | FilteredLobes]:
@@ -60,5 +64,5 @@ def _means_of(part: Block | FilteredLobes, receivers: str) -> str:
     if isinstance(part, FilteredLobes):
         return LOBES
     if receivers == "pixels":
-        return "coefficients"
-    return "coefficients and interpolation" if part.reflection.is_constant else "factors"
+        return COEFFICIENTS
+    return _CONSTANT if part.reflection.is_constant else _FACTORS

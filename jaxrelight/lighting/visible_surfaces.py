@@ -27,8 +27,9 @@ from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import bucket, filled_up
 from jaxrelight.transport.model import SceneGeometry
 
-# The fewest pixels of a material that are held where few are taken of a view.
-_FEW_PIXELS = 32
+# Where few pixels are taken of a view, the fewest of a material that are held: as many as are drawn by brightness, so
+# that other lights compile nothing new.
+_FEW_PIXELS = 64
 
 
 class SurfaceComponent(eqx.Module):
@@ -175,7 +176,7 @@ class VisibleSurfaces(eqx.Module):
             mine = np.flatnonzero(new >= 0)
             if not len(mine):
                 continue
-            length = bucket(len(mine), _FEW_PIXELS)
+            length = bucket(len(mine), _FEW_PIXELS, steps=2)
             filled = np.concatenate([mine, np.full(length - len(mine), mine[0])])
             some = TakenRows(number, filled)
             places_of = filled_up(new[mine].astype(np.int32), length, len(chosen))

@@ -9,6 +9,7 @@ import jaxrelight as jr
 from jaxrelight.images import image_error
 from jaxrelight.lighting.picture_error import Pictured, Shared, drawn_pixels, joined, measured_error
 from jaxrelight.lighting.reference import FINER, Reference, Sample
+from jaxrelight.lighting.transport_means import COEFFICIENTS, LOBES
 from tests.scenes import ball_over_floor
 
 CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.2, 0), fov_y=45, width=32, height=24)
@@ -40,7 +41,7 @@ def exact(folder) -> jr.Image:
 
 def test_exact_transport_is_its_own_reference(exact):
     error = exact.error
-    assert error.parts["coefficients"] < 1e-5
+    assert error.parts[COEFFICIENTS] < 1e-5
     np.testing.assert_allclose(error.trimmed.value, error.parts[FINER], rtol=1e-3)
     assert 0 < error.parts[FINER] < 0.2
 
@@ -64,12 +65,24 @@ def test_all_pixels_tell_the_error_of_the_picture(dials, exact, folder):
     without = np.sqrt(error.trimmed.value**2 - error.parts[FINER] ** 2)
     np.testing.assert_allclose(without, wanted.trimmed, rtol=0.03)
     assert error.untrimmed.value > 0.99 * wanted.untrimmed
-    means = {"coefficients and interpolation", "factors" if dials.get("reflection") == "factors" else LOBES, FINER}
-    assert set(error.parts) == means
+    means = {"factors and interpolation"} if dials.get("reflection") == "factors" else {LOBES}
+    assert set(error.parts) == means | {COEFFICIENTS, "interpolation", FINER}
     assert all(0 < part < 1.2 * error.untrimmed.value for part in error.parts.values())
 
 
-LOBES = "lobes and their visibility"
+@pytest.mark.slow
+@pytest.mark.parametrize("reflection", ["filtered", "factors"])
+def test_what_rows_leave_out_is_told_from_what_lies_between_vertices(reflection, folder):
+    """Without coefficients left out there is no such part, and with them it is how far both pictures are apart."""
+    dials = {"resolution": 16, "coefficients": 32, "reflection": reflection, "factor_resolution": 16}
+    kept = jr.prepare(scene(), jr.Transport("vertices", **dials), folder)
+    pictures = [one.shade(one.light(sky()), one.view()) for one in (kept, kept.exact())]
+    parts = [picture.error.parts for picture in pictures]
+    assert parts[1][COEFFICIENTS] < 1e-4 < parts[0][COEFFICIENTS]
+    rest = "interpolation" if reflection == "filtered" else "factors and interpolation"
+    assert 0.5 * parts[1][rest] < parts[0][rest] < 2 * parts[1][rest]
+    apart = image_error(pictures[0].rgba(), pictures[1].rgba()).trimmed
+    assert 0.5 * apart < parts[0][COEFFICIENTS] < 2 * apart
 
 
 @pytest.mark.slow
@@ -83,7 +96,7 @@ def test_bounces_are_named_and_not_counted(folder):
     assert errors[1].missing == ("what bounces bring",)
     assert "not measured: what bounces bring" in str(errors[1])
     # The same direct light is compared, and bounces make the whole brighter.
-    for means in ("coefficients and interpolation", LOBES):
+    for means in (COEFFICIENTS, "interpolation", LOBES):
         assert 0.7 * errors[0].parts[means] < errors[1].parts[means] < 1.05 * errors[0].parts[means]
 
 
@@ -150,7 +163,7 @@ def test_intervals_hold_the_error_of_the_whole():
         some = rng.choice(size, 256, replace=False)
         exact = {"lamps": wanted[some]}
         pictured = Pictured({"lamps": (wanted + apart)[some]}, np.zeros((256, 3)))
-        error = measured_error((wanted + apart)[some], np.ones(256), pictured, exact, {}, "all pixels")
+        error = measured_error((wanted + apart)[some], np.ones(256), pictured, exact, {}, {}, "all pixels")
         for name in inside:
             interval = getattr(error, name)
             inside[name] += interval.low <= getattr(whole, name) <= interval.high
@@ -162,10 +175,18 @@ def test_what_both_have_in_common_is_added_by_squares():
     wanted = np.ones((64, 3))
     pictured = Pictured({"a": 1.03 * wanted}, np.zeros_like(wanted))
     error = measured_error(
-        1.03 * wanted, np.ones(64), pictured, {"a": wanted}, {"b": Shared(0.04, 0.04)}, "truth", ("c",)
+        1.03 * wanted,
+        np.ones(64),
+        pictured,
+        {"a": wanted},
+        {"b": Shared(0.04, 0.04)},
+        {"a": {"d": 6.0, "e": 8.0}},
+        "truth",
+        ("c",),
     )
     np.testing.assert_allclose([error.trimmed.value, error.untrimmed.value], 0.05, rtol=1e-6)
-    assert str(error) == "5 % ± 0 from truth: b 4, a 3; not measured: c"
+    # Of what d and e bring about together, each has its share.
+    assert str(error) == "5 % ± 0 from truth: b 4, e 2.4, d 1.8; not measured: c"
 
 
 def test_nothing_seen_and_nothing_lit_have_no_error(folder):
