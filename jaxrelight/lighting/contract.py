@@ -208,26 +208,78 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         Raises:
             InputError: for what is traced.
         """
-        if is_traced((image, lit, view)):
-            raise InputError("the error of a picture is measured on numbers that are known; ask for it outside of jit")
         if not samples or not np.asarray(image.alpha).any():
             return None
-        leaves = jax.tree.leaves(self)
-        key = samples, seed, tuple(map(id, leaves))
-        reference = kept_reference(view, key, leaves, lambda: self.reference(view, samples, seed))
+        reference = self._kept_reference(lit, view, samples, seed)
         radiance = np.asarray(image.radiance).reshape(-1, 3)
         chosen, weights = reference.samples(radiance)
-        of_samples = [radiance[sample.pixels] for sample in chosen]
+        return self._measured(lit, reference, chosen, weights, [radiance[sample.pixels] for sample in chosen])
+
+    def expected_error(
+        self, lit: LitT, view: ViewT, *, samples: int = ERROR_SAMPLES, seed: int = 0
+    ) -> PictureError | None:
+        """How far off a picture will be, before it is shaded: those of its pixels are that are drawn evenly, no others.
+
+        The trimmed error is close to what the picture reports; the untrimmed one misses what a few bright pixels bring,
+        which are drawn from the picture. A view's rays are cast once and serve its pictures, too.
+
+        Args:
+            lit: the light.
+            view: the view.
+            samples: as for `error`.
+            seed: as for `error`.
+
+        Returns:
+            The error; None for no samples, or where no surface is seen.
+
+        Raises:
+            InputError: for what is traced, and of adaptive lighting, whose plan tells it.
+        """
+        if not samples:
+            return None
+        reference = self._kept_reference(lit, view, samples, seed)
+        even, of_all = reference.even, np.full(len(reference.even.pixels), reference.evenly)
+        if not len(of_all):
+            return None
+        return self._measured(lit, reference, [even], [of_all], [self.sampled(lit, even)])
+
+    def sampled(self, lit: LitT, sample: Sample) -> Float[np.ndarray, "s 3"]:
+        """What a picture will have at the pixels of a sample."""
+        return np.asarray(self.shade(lit, sample.view).radiance)[0]
+
+    def _kept_reference(self, lit: LitT, view: ViewT, samples: int, seed: int) -> Reference:
+        if is_traced((lit, view)):
+            raise InputError("the error of a picture is measured on numbers that are known; ask for it outside of jit")
+        leaves = jax.tree.leaves(self)
+        key = samples, seed, tuple(map(id, leaves))
+        return kept_reference(view, key, leaves, lambda: self.reference(view, samples, seed))
+
+    def _measured(
+        self,
+        lit: LitT,
+        reference: Reference,
+        chosen: Sequence[Sample],
+        weights: Sequence[Float[np.ndarray, " _"]],
+        radiance: Sequence[Float[np.ndarray, "_ 3"]],
+    ) -> PictureError:
+        """The error that some samples tell, the first of them the even one."""
         lengths = [len(sample.pixels) for sample in chosen]
         exact_of = [sample.radiance(lit) for sample in chosen]
-        every = [self.pictured(own, lit, sample) for own, sample in zip(of_samples, chosen, strict=True)]
+        every = [self.pictured(own, lit, sample) for own, sample in zip(radiance, chosen, strict=True)]
         pictured = Pictured(
             joined([one.by_means for one in every], lengths), np.concatenate([one.alike for one in every])
         )
-        own, counts = np.concatenate(of_samples), np.concatenate(weights)
-        exact, even, missing = joined(exact_of, lengths), exact_of[0], self.not_measured(lit)
-        further, divided = reference.further(lit, even), reference.divided(lit, even)
-        return measured_error(own, counts, pictured, exact, further, divided, reference.name, missing)
+        even = exact_of[0]
+        return measured_error(
+            np.concatenate(radiance),
+            np.concatenate(weights),
+            pictured,
+            joined(exact_of, lengths),
+            reference.further(lit, even),
+            reference.divided(lit, even),
+            reference.name,
+            self.not_measured(lit),
+        )
 
     def picture(
         self, lights: LightsLike = None, camera: Camera | None = None, *, background: bool = True

@@ -292,6 +292,13 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         own = gathered - emission
         return Pictured({MEANS: own}, radiance - own)
 
+    def sampled(self, lit: IndirectLight, sample: Sample) -> Float[np.ndarray, "s 3"]:
+        """What the pixels of a sample show in their middle."""
+        surfaces = sample.view.surfaces
+        direct = shade_lights(self.materials, surfaces, lit.groups, trace_visibility(surfaces.points, lit.groups))
+        gathered = self.pixels.shade_terms(self.pixels.terms(self._encoded(lit.cloud)), sample.view)
+        return np.asarray(gathered if direct is None else gathered + direct)[0]
+
     def not_measured(self, lit: IndirectLight) -> tuple[str, ...]:
         """What is reflected on its way to the points otherwise than by them."""
         between = ("what the cloud's points get from each other",) if self.method.bounces > 1 else ()

@@ -60,6 +60,11 @@ class Reference(abc.ABC):
     def of(self, pixels: Int[np.ndarray, " s"]) -> Sample:
         """Some pixels, ascending; casts their rays."""
 
+    @property
+    def evenly(self) -> float:
+        """How many of the picture's pixels each stands for of those that are drawn evenly."""
+        return len(self._shown) / max(len(self.even.pixels), 1)
+
     def samples(self, radiance: Float[np.ndarray, "n 3"]) -> tuple[list[Sample], list[Float[np.ndarray, " _"]]]:
         """The pixels to compare of a picture, and how many of the picture's each of them stands for.
 
@@ -69,7 +74,7 @@ class Reference(abc.ABC):
         even, shown = self.even, self._shown
         energy = np.sum(radiance[shown].astype(float) ** 2, axis=1)
         if not self._bright_count or not energy.sum() > 0:
-            return [even], [np.full(len(even.pixels), len(shown) / len(even.pixels))]
+            return [even], [np.full(len(even.pixels), self.evenly)]
         # How often a pixel is drawn, evenly and by brightness together.
         expected = len(even.pixels) / len(shown) + self._bright_count * energy / energy.sum()
         place, times = bright_pixels(energy, self._bright_count, self._seed)

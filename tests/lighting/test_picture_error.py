@@ -85,6 +85,29 @@ def test_what_rows_leave_out_is_told_from_what_lies_between_vertices(reflection,
     assert 0.5 * apart < parts[0][COEFFICIENTS] < 2 * apart
 
 
+def test_what_is_expected_of_a_picture_is_what_its_even_pixels_tell(folder):
+    """No picture is shaded; where all pixels are drawn, it is the picture's own error."""
+    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32), folder)
+    view, lit = relighter.view(), relighter.light(sky())
+    expected = relighter.expected_error(lit, view, samples=32 * 24)
+    told = relighter.error(relighter.shade(lit, view), lit, view, samples=32 * 24)
+    for name in ("trimmed", "untrimmed"):
+        expected_one, one = getattr(expected, name), getattr(told, name)
+        np.testing.assert_allclose(dataclasses.astuple(expected_one), dataclasses.astuple(one), rtol=1e-5)
+    np.testing.assert_allclose(list(expected.parts.values()), list(told.parts.values()), rtol=1e-5)
+    assert relighter.expected_error(lit, view, samples=0) is None
+    away = relighter.view(dataclasses.replace(CAMERA, target=(0.4, 9, 2.5)))
+    assert relighter.expected_error(lit, away) is None
+
+
+@pytest.mark.slow
+def test_plans_tell_what_is_expected_of_adaptive_lighting():
+    relighter = jr.prepare(scene(), jr.Adaptive(samples=16))
+    lit, view = relighter.light(sky()), relighter.view()
+    with pytest.raises(jr.InputError, match="see plan"):
+        relighter.expected_error(lit, view)
+
+
 @pytest.mark.slow
 def test_bounces_are_named_and_not_counted(folder):
     plain, bounced = (

@@ -28,8 +28,8 @@ from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, sc
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
-from jaxrelight.lighting.picture_error import Pictured
-from jaxrelight.lighting.reference import Reference, Sample
+from jaxrelight.lighting.picture_error import Pictured, PictureError
+from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
 from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial, VisibleSurfaces
 from jaxrelight.lights.environment import Environment
@@ -246,6 +246,19 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         exact = sum(np.asarray(part)[0] for part in parts if part is not None)
         alike = taken.in_picture(np.zeros((surfaces.covered.size, 3)) + exact)
         return Pictured({} if lit.mipmap is None else {MEANS: radiance - alike}, alike)
+
+    def expected_error(
+        self, lit: AdaptiveLight, view: AdaptiveView, *, samples: int = ERROR_SAMPLES, seed: int = 0
+    ) -> PictureError | None:
+        """Refused: plans tell how far off a picture will be.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "adaptive lighting predicts the error of a picture as it plans it, in displayed values: see "
+            "plan(lit, view).error"
+        )
 
     def not_measured(self, lit: AdaptiveLight) -> tuple[str, ...]:
         """Light that surfaces reflect onto each other; shadows of the environment without any."""
