@@ -212,8 +212,9 @@ class Indirect(Method):
         _check_compression(self, ("shared",), samples)
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
-        """What is not diffusely reflected on its way."""
-        return ("caustics", "what glossy surfaces show of each other: only diffusely reflected light is passed on")
+        """What is not diffusely reflected on its way, and what lies between the lights that an environment is."""
+        left = "caustics", "what glossy surfaces show of each other: only diffusely reflected light is passed on"
+        return (*left, "what sharp lobes show of the environment, which is distant lights") if environment else left
 
 
 @dataclasses.dataclass(frozen=True)
