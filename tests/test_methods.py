@@ -110,7 +110,7 @@ def test_every_dial_is_documented(kind: type[Method]):
         (Transport(), True, True, ["light that surfaces reflect onto each other"]),
         (Transport(bounces=1), True, False, []),
         (Transport(bounces=1), True, True, ["light of local lights that surfaces reflect onto each other"]),
-        (Indirect(), True, True, ["caustics", "what glossy surfaces show of each other", "which is distant lights"]),
+        (Indirect(), True, True, ["caustics", "what glossy surfaces show of each other", "what sharp lobes show"]),
         (Indirect(), False, True, ["caustics", "what glossy surfaces show of each other"]),
         (
             Prefiltered(occlusion_resolution=0),
