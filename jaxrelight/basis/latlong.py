@@ -78,21 +78,52 @@ def resized(
     old_height, old_width, channels = pixels.shape
     if (height, width) == (old_height, old_width):
         return pixels
-    by_row = _means(*(-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)))
-    by_column = _means(*(np.linspace(0, 1, count + 1) for count in (width, old_width)))
     if isinstance(pixels, jax.Array):
-        return _by_matrices(pixels, *(side.toarray().astype(pixels.dtype) for side in (by_row, by_column)))
+        # What shrinks goes first: what lies between is small.
+        for axis, count in ((0, height), (1, width)) if height <= old_height else ((1, width), (0, height)):
+            pixels = _resized_along(pixels, axis, count)
+        return pixels
+    by_row, by_column = _row_means(height, old_height), _column_means(width, old_width)
     resampled = by_row.astype(pixels.dtype) @ pixels.reshape(old_height, -1)
     resampled = resampled.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
     resampled = by_column.astype(pixels.dtype) @ resampled
     return np.ascontiguousarray(resampled.reshape(width, height, channels).swapaxes(0, 1))
 
 
-@jax.jit
-def _by_matrices(
-    pixels: Float[Array, "h w c"], by_row: Float[Array, "i h"], by_column: Float[Array, "j w"]
-) -> Float[Array, "i j c"]:
-    return jnp.einsum("ih,hwc,jw->ijc", by_row, pixels, by_column, precision="highest")
+def _row_means(new: int, old: int) -> sparse.csr_array:
+    return _means(*(-np.cos(np.linspace(0, np.pi, count + 1)) for count in (new, old)))
+
+
+def _column_means(new: int, old: int) -> sparse.csr_array:
+    return _means(*(np.linspace(0, 1, count + 1) for count in (new, old)))
+
+
+def _resized_along(pixels: Float[Array, "h w c"], axis: int, count: int) -> Float[Array, "i j c"]:
+    old = pixels.shape[axis]
+    if count == old:
+        return pixels
+    if old % count == 0:
+        # Whole rows or columns are joined: no matrix is needed, and the gradient is no more than a map.
+        area = -np.diff(np.cos(np.linspace(0, np.pi, old + 1))) if axis == 0 else np.ones(old)
+        blocks = area.reshape(count, -1)
+        return _joined(pixels, (blocks / blocks.sum(axis=1, keepdims=True)).astype(pixels.dtype), axis)
+    means = _row_means(count, old) if axis == 0 else _column_means(count, old)
+    return _by_matrix(pixels, means.toarray().astype(pixels.dtype), axis)
+
+
+@functools.partial(jax.jit, static_argnames="axis")
+def _joined(pixels: Float[Array, "h w c"], shares: Float[Array, "n k"], axis: int) -> Float[Array, "i j c"]:
+    if axis == 0:
+        return jnp.sum(pixels.reshape(*shares.shape, *pixels.shape[1:]) * shares[:, :, None, None], axis=1)
+    return jnp.sum(pixels.reshape(len(pixels), *shares.shape, -1) * shares[None, :, :, None], axis=2)
+
+
+@functools.partial(jax.jit, static_argnames="axis")
+def _by_matrix(pixels: Float[Array, "h w c"], means: Float[Array, "n o"], axis: int) -> Float[Array, "i j c"]:
+    if axis == 1:
+        return jnp.einsum("jw,hwc->hjc", means, pixels, precision="highest")
+    rows = jnp.matmul(means, pixels.reshape(len(pixels), -1), precision="highest")
+    return rows.reshape(len(means), *pixels.shape[1:])
 
 
 def _means(new: Float[np.ndarray, " n"], old: Float[np.ndarray, " o"]) -> sparse.csr_array:

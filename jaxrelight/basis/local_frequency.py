@@ -7,6 +7,10 @@ from scipy import ndimage
 # ε of the appendix: what finer levels may add up to, of the largest, before they count.
 _THRESHOLD = 0.01
 _WAVELET = "db4"
+# Levels by which the grid of a level's details is finer than that of its coefficients.
+_FINER = 2
+# Places of a grid that a coefficient of many levels stands after the middle of its pixels, of one level half of it.
+_DELAY = 2.5
 
 
 def local_frequency(image: Float[np.ndarray, "h w c"], threshold: float = _THRESHOLD) -> Float[np.ndarray, "h w"]:
@@ -22,22 +26,54 @@ def local_frequency(image: Float[np.ndarray, "h w c"], threshold: float = _THRES
         image: of sides that are powers of two.
         threshold: ε.
     """
-    import pywt
-
     height, width, _ = image.shape
-    count = int(np.log2(min(height, width)))
-    contrast, coarse = np.zeros((count, height, width), np.float32), np.asarray(image, float)
-    for level in range(count):
-        coarse, details = pywt.dwt2(coarse, _WAVELET, "periodization", axes=(0, 1))
-        detail = pywt.idwt2((None, details), _WAVELET, "periodization", axes=(0, 1))
-        for _ in range(level):
-            detail = pywt.idwt2((detail, (None,) * 3), _WAVELET, "periodization", axes=(0, 1))
-        contrast[level] = ndimage.maximum_filter(np.abs(detail).max(axis=2), 2 ** (level + 1) + 1, mode="wrap")
-    size = contrast * (2.0 ** np.arange(1, count + 1, dtype=np.float32))[:, None, None]
+    contrast = _contrast(image)
+    largest = np.zeros((1, 1), np.float32)
+    for level in reversed(range(len(contrast))):
+        largest = np.maximum(_as_fine(largest, contrast[level].shape), 2.0 ** (level + 1) * contrast[level])
     # Rounding is no detail.
     least = 1e-6 * np.abs(image).max() if image.size else 0
-    counts = (np.cumsum(size, axis=0) >= threshold * size.max(axis=0)) & (np.cumsum(contrast, axis=0) > least)
-    return np.where(counts.any(axis=0), 0.5 ** (1.5 + np.argmax(counts, axis=0)), 0)
+    frequency = np.zeros((height, width))
+    size_sum, contrast_sum = np.zeros((2, height, width), np.float32)
+    for level, part in enumerate(contrast):
+        full = _as_fine(part, (height, width))
+        contrast_sum += full
+        size_sum += np.float32(2.0 ** (level + 1)) * full
+        counts = (size_sum >= threshold * largest) & (contrast_sum > least) & (frequency == 0)
+        frequency[counts] = 0.5 ** (1.5 + level)
+    return frequency
+
+
+def _contrast(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "g v"]]:
+    """Details of each level, the finest first, largest of all channels and within half a wavelength.
+
+    A level's are on the grid of the second finer one, on which a wave has eight pixels or more: on that of the image, the
+    same details would take an image for every level.
+    """
+    import pywt
+
+    height, width, channels = image.shape
+    contrast, coarse = [], [np.asarray(image[..., c], float) for c in range(channels)]
+    for level in range(int(np.log2(min(height, width)))):
+        largest = np.float32(0)
+        for c in range(channels):
+            coarse[c], details = pywt.dwt2(coarse[c], _WAVELET, "periodization")
+            detail = pywt.idwt2((None, details), _WAVELET, "periodization")
+            for _ in range(min(level, _FINER)):
+                detail = pywt.idwt2((detail, (None,) * 3), _WAVELET, "periodization")
+            largest = np.maximum(largest, np.abs(detail, out=detail).astype(np.float32))
+        # Each level of orthonormal wavelets doubles what stands for a value.
+        finer = min(level, _FINER)
+        steps = level - finer
+        grid = ndimage.maximum_filter(np.float32(0.5**steps) * largest, 2 ** (finer + 1) + 1, mode="wrap")
+        # They are not symmetric: what stands at a place of the grid is of pixels before it.
+        contrast.append(np.roll(grid, -round(_DELAY * (1 - 0.5**steps)), axis=(0, 1)))
+    return contrast
+
+
+def _as_fine(grid: Float[np.ndarray, "g v"], shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
+    """Each value for all pixels of a finer grid that it stands for."""
+    return grid.repeat(shape[0] // grid.shape[0], axis=0).repeat(shape[1] // grid.shape[1], axis=1)
 
 
 def mirrored(image: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "g v c"]:

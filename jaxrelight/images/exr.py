@@ -65,12 +65,15 @@ def read_exr(path: Path, max_pixels: int) -> np.ndarray:
     if len(parts) != len(headers):
         raise InputError(f"{path}: pixels are missing or damaged; the file may be cut short, export or copy it again")
     header, channels = parts[number]
-    planes = [channels[name] for name in names]
     height, width = _size(header["dataWindow"])
-    for name, plane in zip(names, planes, strict=True):
-        if plane.dtype.kind != "f" or plane.shape != (height, width):
+    for name in names:
+        if channels[name].dtype.kind != "f" or channels[name].shape != (height, width):
             raise InputError(f"{path}: channel {name} holds integers or is subsampled; export full half or float RGB")
-    pixels = np.stack(planes, axis=-1).astype(np.float32)
+    pixels = np.empty((height, width, len(names)), np.float32)
+    for number, name in enumerate(names):
+        pixels[..., number] = channels[name]
+    # Whatever follows takes memory of its own.
+    del parts, channels
     return _place(_in_rec709(path, pixels, header), header["dataWindow"], header["displayWindow"])
 
 

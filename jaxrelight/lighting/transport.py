@@ -224,8 +224,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         scale: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "d c"]:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
-        height, width = pixels.shape[:2]
-        resampling = latlong.area_resampling(height, width, self.method.resolution)
+        pixels = coarsened(pixels, self.method.resolution)
+        resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution)
         return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array | np.ndarray, "*n d c"]) -> LightTerms:
@@ -291,8 +291,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return maps_of(environment, between=self.exponents)
 
     def _light_vector_of(self, environment: Environment) -> Float[Array, "d c"]:
-        pixels = coarsened(environment.pixels, self.method.resolution)
-        return self.light_vector(pixels, environment.rotate_y, environment.scale)
+        return self.light_vector(environment.pixels, environment.rotate_y, environment.scale)
 
     def trace(self, lit: TransportLight, view: TransportView, *, report: Report | None = None) -> Visibility:
         """Shadow rays from pixels towards local lights."""

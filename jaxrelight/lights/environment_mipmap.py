@@ -13,8 +13,10 @@ from jaxrelight.lights.sky import Sky, turned
 from jaxrelight.lights.sun import without_sun
 from jaxrelight.numerics.arrays import as_array, is_traced, on_host
 
-# Rows of the finest level of what predicts: it needs no finer map.
-_ROWS = 512
+# Rows of the finest level, at most: cells of a twelfth of a degree are finer than pixels of most pictures.
+_MAX_ROWS = 2048
+# Rows of the finest level of what predicts, which needs no finer map, and of the map whose bandwidth it holds.
+_DETAIL_ROWS, _BANDWIDTH_ROWS = 512, 1024
 # Steps from a level to the next. Cells one step too large or small for what a sample stands for cost quality: with one
 # step the errors of samples are up to half as large again.
 _STEPS = 2
@@ -110,16 +112,21 @@ class EnvironmentMipmap(eqx.Module):
 def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g v"]:
     """Local angular bandwidth of a lat-long map in cycles per radian (Bagher 2011 §2.4), of a map of 2^n rows.
 
-    A pixel is as wide as it is high in angle, the larger eigenvalue of the map's Jacobian.
+    A pixel is as wide as it is high in angle, the larger eigenvalue of the map's Jacobian. Maps are made coarse to 1,024
+    rows, which is 115 cycles per radian.
     """
-    rows = _power_of_two(len(pixels))
+    rows = min(_power_of_two(len(pixels)), _BANDWIDTH_ROWS)
     even = latlong.resized(np.asarray(pixels, np.float32), rows, 2 * rows)
     return local_frequency(around_sphere(even))[:rows] * (rows / np.pi)
 
 
 def environment_mipmap(environment: Environment) -> EnvironmentMipmap:
     """The mipmap of an environment, as it is turned and scaled."""
-    pixels, sun = without_sun(environment.pixels)
+    pixels = environment.pixels
+    if len(pixels) > _MAX_ROWS:
+        # Before anything else: each of the steps below takes several times the memory of its map.
+        pixels = latlong.resized(on_host(pixels), _MAX_ROWS, 2 * _MAX_ROWS)
+    pixels, sun = without_sun(pixels)
     turn, scale = (as_array(number, pixels.dtype) for number in (environment.rotate_y / 360, environment.scale))
     sun = Sky(turned(sun.directions, environment.rotate_y), sun.irradiance * scale)
     known = jax.lax.stop_gradient(pixels)
@@ -133,7 +140,7 @@ def _detail(pixels: Float[np.ndarray, "h w 3"]) -> Cells:
     grey = pixels.mean(axis=2, keepdims=True)
     finest = latlong.resized(np.concatenate([grey, grey**2], axis=2), len(bandwidth), 2 * len(bandwidth))
     finest = np.concatenate([finest, finest[..., :1] * bandwidth[..., None] ** 2], axis=2)
-    rows = min(len(bandwidth), _ROWS)
+    rows = min(len(bandwidth), _DETAIL_ROWS)
     return cells(latlong.resized(finest, rows, 2 * rows).astype(np.float32))
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.zonal import filtered_maps
-from jaxrelight.lights.environment import Environment
+from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.numerics.arrays import is_traced, on_host
 from jaxrelight.numerics.numbers import Number
 
@@ -23,6 +23,8 @@ _PER_DOUBLING = 2
 _SHARPEST = 2**14
 # Rows of maps are multiples of so many.
 _ROWS = 16
+# An environment is made coarse first, as for a cube map of this resolution, or of a quarter of the finest map's rows.
+_COARSE_RESOLUTION = 128
 # Environments whose maps are remembered.
 _MAX_REMEMBERED = 4
 
@@ -129,7 +131,8 @@ def prefilter(
         every = every[first : max(end, first + 1)]
     rows = [finest if equal else _ROWS * math.ceil(8 * math.pi * math.sqrt(n + 1) / _ROWS) for n in every]
     heights = [min(max(height, 32), finest) for height in rows]
-    maps = filtered_maps(pixels, every, heights)
+    # Finer pixels are seen by none of the maps, but cost memory and time.
+    maps = filtered_maps(coarsened(pixels, max(_COARSE_RESOLUTION, finest // 4)), every, heights)
     return PrefilteredMaps(_joined(maps), tuple(heights), first)
 
 

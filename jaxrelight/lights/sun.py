@@ -127,9 +127,10 @@ class _Taken(NamedTuple):
 def _find_sun(pixels: Float[np.ndarray, "h w 3"]) -> _Taken | None:
     """What `without_sun` takes; None where there is no sun."""
     looked = np.asarray(coarsened(pixels, _FINEST))
-    towards, area = _pixels_of(looked)
+    rows, columns = looked.shape[:2]
+    towards = _towards(np.arange(rows * columns), rows, columns)
+    area = np.repeat(latlong.solid_angles(rows, columns), columns)
     flat = np.asarray(looked, float).reshape(-1, 3)
-    rows = len(looked)
     n = 1 << max(0, int(np.floor(np.log2(rows / 2)))) if rows > 1 else 0
     while n >= min(_COARSEST, rows // 2) > 0:
         cell = cubemap.texel_of(towards, n)
@@ -159,29 +160,32 @@ def _brightest(texels: Float[np.ndarray, "d c"]) -> tuple[Int[np.ndarray, " n"],
 def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most: float, n: int) -> _Taken:
     """What a map's pixels in the bright cells of a cube map have above the brightest that is left."""
     h, w = pixels.shape[:2]
-    towards, area = _pixels_of(pixels)
-    flat = np.asarray(pixels, float).reshape(-1, 3)
-    cell, length = cubemap.texel_of(towards, n), np.linalg.norm(flat, axis=1)
-    bright = np.isin(cell, lit) & (length > most)
-    stays = np.where(bright, most / np.where(bright, length, 1), 1)
+    flat = pixels.reshape(-1, 3)
+    # Few pixels are bright: nothing else of them is computed in double precision for a whole map.
+    length = np.sqrt(np.einsum("pc,pc->p", flat, flat, dtype=float))
+    here = np.flatnonzero(length > most)
+    towards = _towards(here, h, w)
+    cell = cubemap.texel_of(towards, n)
+    bright = np.isin(cell, lit)
+    here, towards, cell = here[bright], towards[bright], cell[bright]
     taken = _Taken.nothing(h, w)
-    slot = np.full(len(flat), _MAX_DIRECTIONS)
-    if np.pi / h <= _APART or np.count_nonzero(bright) > _MAX_DIRECTIONS:
+    stays, slot = taken.stays.reshape(-1), taken.slot.reshape(-1)
+    stays[here] = most / length[here]
+    if np.pi / h <= _APART or len(here) > _MAX_DIRECTIONS:
         # Cells are smaller than a sun, or hold many pixels: one direction each.
-        energy = ((1 - stays) * area)[:, None] * flat
-        cells = [lit_cell for lit_cell in lit if bright[cell == lit_cell].any()]
-        for number, lit_cell in enumerate(cells):
-            in_cell = (cell == lit_cell) & bright
-            slot[in_cell] = number
+        area = latlong.solid_angles(h, w)[here // w]
+        energy = ((1 - stays[here]) * area)[:, None] * flat[here]
+        for number, lit_cell in enumerate(one for one in lit if one in cell):
+            in_cell = cell == lit_cell
+            slot[here[in_cell]] = number
             mean = energy[in_cell].sum(axis=1) @ towards[in_cell]
             taken.directions[number] = mean / np.linalg.norm(mean)
             taken.source[number], taken.share[number] = number, 1
-        return taken._replace(stays=stays.reshape(h, w), slot=slot.reshape(h, w))
+        return taken
     # Pixels are larger than a sun: several directions each, as far as there are enough.
-    here = np.flatnonzero(bright)
     slot[here] = np.arange(len(here))
     along = max(1, min(int(np.ceil(np.pi / h / _APART)), int(np.sqrt(_MAX_DIRECTIONS / max(len(here), 1)))))
-    u, v = latlong.coordinates(towards[here])
+    u, v = latlong.coordinates(towards)
     step = (np.arange(along) + 0.5) / along - 0.5
     down, right = (x.ravel() for x in np.meshgrid(step, step, indexing="ij"))
     v, u = v[:, None] + down / h, u[:, None] + right / w
@@ -191,7 +195,7 @@ def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most:
     count = share.size
     taken.directions[:count] = latlong.directions(u, v).reshape(-1, 3)
     taken.source[:count], taken.share[:count] = np.repeat(np.arange(len(here)), along**2), share.ravel()
-    return taken._replace(stays=stays.reshape(h, w), slot=slot.reshape(h, w))
+    return taken
 
 
 @jax.jit
@@ -205,8 +209,7 @@ def _split(pixels, stays, slot, directions, source, share) -> tuple[Float[Array,
     return pixels * stays[..., None].astype(pixels.dtype), Sky(directions.astype(pixels.dtype), irradiance)
 
 
-def _pixels_of(pixels) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, " p"]]:
-    """Directions to all pixels of a lat-long map, and their solid angles."""
-    h, w = pixels.shape[:2]
-    v, u = ((np.indices((h, w)) + 0.5) / np.array([[[h]], [[w]]])).reshape(2, -1)
-    return latlong.directions(u, v), np.repeat(latlong.solid_angles(h, w), w)
+def _towards(pixel: Int[np.ndarray, " p"], h: int, w: int) -> Float[np.ndarray, "p 3"]:
+    """Directions to pixels of a lat-long map, numbered row by row."""
+    row, column = np.divmod(pixel, w)
+    return latlong.directions((column + 0.5) / w, (row + 0.5) / h)
