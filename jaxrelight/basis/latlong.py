@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, Real
 from scipy import sparse
 
@@ -78,52 +79,34 @@ def resized(
     old_height, old_width, channels = pixels.shape
     if (height, width) == (old_height, old_width):
         return pixels
+    if isinstance(pixels, jax.Array) and old_height % height == 0 and old_width % width == 0:
+        # Whole pixels are joined: no matrix is needed, and no more memory than for the result, or for the gradient.
+        area = -np.diff(np.cos(np.linspace(0, np.pi, old_height + 1))).reshape(height, -1)
+        shares = area / area.sum(axis=1, keepdims=True) * (width / old_width)
+        return _joined(pixels, shares.astype(pixels.dtype), width)
+    by_row = _means(*(-np.cos(np.linspace(0, np.pi, count + 1)) for count in (height, old_height)))
+    by_column = _means(*(np.linspace(0, 1, count + 1) for count in (width, old_width)))
     if isinstance(pixels, jax.Array):
-        # What shrinks goes first: what lies between is small.
-        for axis, count in ((0, height), (1, width)) if height <= old_height else ((1, width), (0, height)):
-            pixels = _resized_along(pixels, axis, count)
-        return pixels
-    by_row, by_column = _row_means(height, old_height), _column_means(width, old_width)
+        return _by_matrices(pixels, *(side.toarray().astype(pixels.dtype) for side in (by_row, by_column)))
     resampled = by_row.astype(pixels.dtype) @ pixels.reshape(old_height, -1)
     resampled = resampled.reshape(height, old_width, channels).swapaxes(0, 1).reshape(old_width, -1)
     resampled = by_column.astype(pixels.dtype) @ resampled
     return np.ascontiguousarray(resampled.reshape(width, height, channels).swapaxes(0, 1))
 
 
-def _row_means(new: int, old: int) -> sparse.csr_array:
-    return _means(*(-np.cos(np.linspace(0, np.pi, count + 1)) for count in (new, old)))
+@functools.partial(jax.jit, static_argnames="width")
+def _joined(pixels: Float[Array, "h w c"], shares: Float[Array, "i k"], width: int) -> Float[Array, "i {width} c"]:
+    blocks = pixels.reshape(*shares.shape, width, -1, pixels.shape[2])
+    return jnp.sum(blocks * shares[:, :, None, None, None], axis=(1, 3))
 
 
-def _column_means(new: int, old: int) -> sparse.csr_array:
-    return _means(*(np.linspace(0, 1, count + 1) for count in (new, old)))
-
-
-def _resized_along(pixels: Float[Array, "h w c"], axis: int, count: int) -> Float[Array, "i j c"]:
-    old = pixels.shape[axis]
-    if count == old:
-        return pixels
-    if old % count == 0:
-        # Whole rows or columns are joined: no matrix is needed, and the gradient is no more than a map.
-        area = -np.diff(np.cos(np.linspace(0, np.pi, old + 1))) if axis == 0 else np.ones(old)
-        blocks = area.reshape(count, -1)
-        return _joined(pixels, (blocks / blocks.sum(axis=1, keepdims=True)).astype(pixels.dtype), axis)
-    means = _row_means(count, old) if axis == 0 else _column_means(count, old)
-    return _by_matrix(pixels, means.toarray().astype(pixels.dtype), axis)
-
-
-@functools.partial(jax.jit, static_argnames="axis")
-def _joined(pixels: Float[Array, "h w c"], shares: Float[Array, "n k"], axis: int) -> Float[Array, "i j c"]:
-    if axis == 0:
-        return jnp.sum(pixels.reshape(*shares.shape, *pixels.shape[1:]) * shares[:, :, None, None], axis=1)
-    return jnp.sum(pixels.reshape(len(pixels), *shares.shape, -1) * shares[None, :, :, None], axis=2)
-
-
-@functools.partial(jax.jit, static_argnames="axis")
-def _by_matrix(pixels: Float[Array, "h w c"], means: Float[Array, "n o"], axis: int) -> Float[Array, "i j c"]:
-    if axis == 1:
-        return jnp.einsum("jw,hwc->hjc", means, pixels, precision="highest")
-    rows = jnp.matmul(means, pixels.reshape(len(pixels), -1), precision="highest")
-    return rows.reshape(len(means), *pixels.shape[1:])
+@jax.jit
+def _by_matrices(
+    pixels: Float[Array, "h w c"], by_row: Float[Array, "i h"], by_column: Float[Array, "j w"]
+) -> Float[Array, "i j c"]:
+    # Rows as they lie: another order would copy the map.
+    rows = jnp.matmul(by_row, pixels.reshape(len(pixels), -1), precision="highest")
+    return jnp.einsum("jw,iwc->ijc", by_column, rows.reshape(len(by_row), *pixels.shape[1:]), precision="highest")
 
 
 def _means(new: Float[np.ndarray, " n"], old: Float[np.ndarray, " o"]) -> sparse.csr_array:
@@ -183,8 +166,8 @@ class AreaResampling(eqx.Module):
 
 
 @functools.lru_cache(maxsize=4)
-def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
-    """The resampling from a height × width lat-long map to a 6×resolution×resolution cube map."""
+def area_resampling(height: int, width: int, resolution: int, dtype: DTypeLike = np.float32) -> AreaResampling:
+    """The resampling from a height × width lat-long map to a 6×resolution×resolution cube map, by weights of a type."""
     texel, pixel, shared = (np.concatenate(parts) for parts in zip(*overlaps(height, width, resolution), strict=True))
     shares = sparse.csr_array((shared, (texel, pixel)), shape=(6 * resolution**2, height * width))
     starts, pixel, counts = shares.indptr, shares.indices, np.diff(shares.indptr)
@@ -196,7 +179,7 @@ def area_resampling(height: int, width: int, resolution: int) -> AreaResampling:
         slot = np.arange(capacity)
         inside = slot < counts[rows, None]
         entry = np.where(inside, starts[rows, None] + slot, 0)
-        values = np.where(inside, weight[entry], 0)[:, None].astype(np.float32)
+        values = np.where(inside, weight[entry], 0)[:, None].astype(dtype)
         indices = np.where(inside, pixel[entry], 0).astype(np.int32)
         # The result is kept, so it must not be made of a caller's tracers.
         with jax.ensure_compile_time_eval():

@@ -47,8 +47,8 @@ def local_frequency(image: Float[np.ndarray, "h w c"], threshold: float = _THRES
 def _contrast(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "g v"]]:
     """Details of each level, the finest first, largest of all channels and within half a wavelength.
 
-    A level's are on the grid of the second finer one, on which a wave has eight pixels or more: on that of the image, the
-    same details would take an image for every level.
+    A level's are on the grid of the second finer one, on which a wave has eight pixels or more: on that of the image,
+    the same details would take an image for every level.
     """
     import pywt
 

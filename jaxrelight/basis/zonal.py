@@ -22,6 +22,8 @@ _MIN_KERNEL_WEIGHT = 1e-6
 
 # Exponents whose lobes are filtered by harmonics, whose coefficients are followed down to this share.
 _BY_HARMONICS, _MIN_BAND = (4.0, 1024.0), 1e-6
+# Rows whose integrals are made at a time: all functions of a fine map's rows are several times the map.
+_ROW_BATCH = 64
 # Orders that harmonics are used to, each of which is compiled.
 _ORDERS = 24, 32, 48, 64, 96, 128, 176
 
@@ -47,13 +49,14 @@ def filtered_maps(
         # An odd number of rows has no mirror image of each.
         even = pixels if height % 2 == 0 else latlong.resized(pixels, height + 1, pixels.shape[1])
         order = max(orders.values())
-        coefficients = _analysed(jnp.asarray(even), _row_integrals(even.shape[0], order))
+        coefficients = _analysed(jnp.asarray(even), _row_integrals(even.shape[0], order, pixels.dtype))
     maps, resized = [], {}
     for exponent, rows in pairs:
         if exponent in orders and coefficients is not None:
             order = orders[exponent]
-            bands = np.asarray(lobe_bands(exponent, order), np.float32)
-            maps.append(_synthesised(coefficients[: order + 1, : order + 1], bands, _at_rows(rows, order), rows))
+            bands = lobe_bands(exponent, order).astype(pixels.dtype)
+            functions = _at_rows(rows, order, pixels.dtype)
+            maps.append(_synthesised(coefficients[: order + 1, : order + 1], bands, functions, rows))
             continue
         if rows not in resized:
             resized[rows] = jnp.asarray(latlong.resized(pixels, rows, 2 * rows))
@@ -100,23 +103,27 @@ def _legendre(cosine: Float[np.ndarray, " p"], order: int) -> Float[np.ndarray, 
 
 
 @functools.lru_cache(maxsize=4)
-def _row_integrals(height: int, order: int) -> Float[np.ndarray, "m l r"]:
+def _row_integrals(height: int, order: int, dtype: np.dtype) -> Float[np.ndarray, "m l r"]:
     """∫ P_lm sinθ dθ over each row of the upper half of a map."""
     place, weight = np.polynomial.legendre.leggauss(3 + 2 * order // height)
     step = np.pi / height
     polar = ((np.arange(height // 2) + 0.5) * step)[:, None] + place * (step / 2)
-    values = _legendre(np.cos(polar).ravel(), order).reshape(order + 1, order + 1, *polar.shape)
     # The sum over a row's places is made to be its exact solid angle, so that a constant has no other harmonics.
     sine = np.sin(polar) * weight
     exact = np.diff(-np.cos(np.arange(height // 2 + 1) * step))
     sine *= (exact / sine.sum(axis=1))[:, None]
-    return np.einsum("mlrg,rg->mlr", values, sine).astype(np.float32)
+    integrals = np.empty((order + 1, order + 1, height // 2), dtype)
+    for start in range(0, height // 2, _ROW_BATCH):
+        rows = slice(start, start + _ROW_BATCH)
+        values = _legendre(np.cos(polar[rows]).ravel(), order).reshape(order + 1, order + 1, *polar[rows].shape)
+        integrals[..., rows] = np.einsum("mlrg,rg->mlr", values, sine[rows])
+    return integrals
 
 
 @functools.lru_cache(maxsize=32)
-def _at_rows(height: int, order: int) -> Float[np.ndarray, "m l r"]:
+def _at_rows(height: int, order: int, dtype: np.dtype) -> Float[np.ndarray, "m l r"]:
     """P_lm at the centres of the upper half's rows."""
-    return _legendre(np.cos((np.arange(height // 2) + 0.5) * (np.pi / height)), order).astype(np.float32)
+    return _legendre(np.cos((np.arange(height // 2) + 0.5) * (np.pi / height)), order).astype(dtype)
 
 
 @jax.jit
@@ -202,6 +209,7 @@ def _means(pixels: Float[Array, "h w c"], exponent: Float[Array, ""], reach: int
     polar = (jnp.arange(-reach, height + reach, dtype=dtype) + 0.5) * (np.pi / height)
     turned = 2 * jnp.sin(jnp.arange(width, dtype=dtype) * (np.pi / width)) ** 2
 
+    @jax.checkpoint  # The transpose makes kernels again: those of all rows are several times the map.
     def row(i):
         def near(rows):
             return jax.lax.dynamic_slice_in_dim(rows, i, 2 * reach + 1)

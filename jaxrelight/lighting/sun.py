@@ -43,8 +43,8 @@ def sun_terms(
     vectors, energy, shares = _arriving(
         texels,
         radiance,
-        as_array(cubemap.directions(n * s)[samples], np.float32),
-        as_array(cubemap.solid_angles(n * s)[samples], np.float32),
+        as_array(cubemap.directions(n * s)[samples], radiance.dtype),
+        as_array(cubemap.solid_angles(n * s)[samples], radiance.dtype),
     )
     known = jax.lax.stop_gradient((vectors, shares))
     terms, visible, first = [], None, -1

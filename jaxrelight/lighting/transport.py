@@ -225,7 +225,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     ) -> Float[Array, "d c"]:
         """The operator's input for a lat-long map. Pure and differentiable in all three."""
         pixels = coarsened(pixels, self.method.resolution)
-        resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution)
+        resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution, pixels.dtype)
         return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
 
     def terms(self, light: Float[Array | np.ndarray, "*n d c"]) -> LightTerms:

@@ -68,7 +68,7 @@ def surface_material(name: str, material: Material, minification: Minification =
             maps have any; "averaged" parameters; or "none".
     """
     components = tuple(surface_component(one.brdf, one.weight, minification) for one in material.components)
-    emission = None if material.emission is None else as_array(material.emission, np.float32)
+    emission = None if material.emission is None else as_array(material.emission)
     return SurfaceMaterial(name, components, emission)
 
 
@@ -275,8 +275,8 @@ def trace_view(
         end,
     )
     u, v = latlong.coordinates(gbuffer.directions)
-    u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
     place = places([part.pixels for part in parts], gbuffer.covered.size)
+    u, v, covered = map(as_array, (u, v, gbuffer.covered))
     return VisibleSurfaces(tuple(parts), points, place, covered, u, v), gbuffer
 
 

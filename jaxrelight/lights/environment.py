@@ -194,7 +194,7 @@ def texels_of(environment: Environment, resolution: int) -> Float[Array, "d c"]:
     Rotation and resampling are programs of their own: as one they take half as long again.
     """
     pixels = coarsened(environment.pixels, resolution)
-    resampling = latlong.area_resampling(*pixels.shape[:2], resolution)
+    resampling = latlong.area_resampling(*pixels.shape[:2], resolution, pixels.dtype)
     return _scaled(resampling.apply(latlong.rotate(pixels, environment.rotate_y)), environment.scale)
 
 

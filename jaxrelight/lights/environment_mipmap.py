@@ -13,10 +13,11 @@ from jaxrelight.lights.sky import Sky, turned
 from jaxrelight.lights.sun import without_sun
 from jaxrelight.numerics.arrays import as_array, is_traced, on_host
 
-# Rows of the finest level, at most: cells of a twelfth of a degree are finer than pixels of most pictures.
-_MAX_ROWS = 2048
-# Rows of the finest level of what predicts, which needs no finer map, and of the map whose bandwidth it holds.
-_DETAIL_ROWS, _BANDWIDTH_ROWS = 512, 1024
+# Rows of the finest level, at most: its cells, a sixth of a degree, are narrower than lobes of exponents to 100,000.
+# All levels take eleven numbers for each of its pixels.
+_MAX_ROWS = 1024
+# Rows of the finest level of what predicts: it needs no finer map.
+_DETAIL_ROWS = 512
 # Steps from a level to the next. Cells one step too large or small for what a sample stands for cost quality: with one
 # step the errors of samples are up to half as large again.
 _STEPS = 2
@@ -112,10 +113,9 @@ class EnvironmentMipmap(eqx.Module):
 def light_bandwidth(pixels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "g v"]:
     """Local angular bandwidth of a lat-long map in cycles per radian (Bagher 2011 §2.4), of a map of 2^n rows.
 
-    A pixel is as wide as it is high in angle, the larger eigenvalue of the map's Jacobian. Maps are made coarse to 1,024
-    rows, which is 115 cycles per radian.
+    A pixel is as wide as it is high in angle, the larger eigenvalue of the map's Jacobian.
     """
-    rows = min(_power_of_two(len(pixels)), _BANDWIDTH_ROWS)
+    rows = _power_of_two(len(pixels))
     even = latlong.resized(np.asarray(pixels, np.float32), rows, 2 * rows)
     return local_frequency(around_sphere(even))[:rows] * (rows / np.pi)
 

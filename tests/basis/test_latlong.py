@@ -228,7 +228,7 @@ def test_a_resampling_first_made_under_jit_can_be_used_afterwards():
     np.testing.assert_allclose(apply(latlong.area_resampling(6, 12, 4), pixels), 1, rtol=1e-6)
 
 
-@pytest.mark.parametrize("shape", [(3, 5), (12, 24)])
+@pytest.mark.parametrize("shape", [(3, 5), (12, 24), (2, 4), (5, 3)])
 def test_resizing_arrays_of_jax_is_the_same_and_differentiable(x64, shape):
     pixels = np.random.default_rng(0).uniform(size=(6, 12, 2))
     resized = latlong.resized(jnp.asarray(pixels), *shape)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import pywt
+from scipy import ndimage
 
 from jaxrelight.basis.local_frequency import around_sphere, local_frequency, mirrored
 
@@ -41,6 +43,29 @@ def test_spot_is_found_where_it_is():
     assert np.median(frequency[far]) <= 0.25 * frequency[90, 40]
     peak = np.argwhere(frequency == frequency.max()).mean(axis=0)
     np.testing.assert_allclose(peak, [90, 40], atol=2)
+
+
+def test_coarse_levels_are_as_on_the_grid_of_the_image():
+    """Against all levels at every pixel: nearly all are the same, and none is off by more than an octave."""
+    y, x = np.indices((N, N))
+    waves = 0.3 * np.cos(2 * np.pi * 3 * x / N) + 0.02 * (y > N / 2) * np.sin(2 * np.pi * 23 * y / N)
+    image = np.stack([waves + np.exp(-((x - 40) ** 2 + (y - 90) ** 2) / 8), waves], axis=2)
+    found, wanted = local_frequency(image), _at_every_pixel(image)
+    assert np.mean(found == wanted) > 0.95
+    assert np.abs(np.log2(found / wanted)).max() <= 1
+
+
+def _at_every_pixel(image: np.ndarray, threshold: float = 0.01) -> np.ndarray:
+    contrast, coarse = [], image
+    for level in range(int(np.log2(N))):
+        coarse, details = pywt.dwt2(coarse, "db4", "periodization", axes=(0, 1))
+        detail = pywt.idwt2((None, details), "db4", "periodization", axes=(0, 1))
+        for _ in range(level):
+            detail = pywt.idwt2((detail, (None,) * 3), "db4", "periodization", axes=(0, 1))
+        contrast.append(ndimage.maximum_filter(np.abs(detail).max(axis=2), 2 ** (level + 1) + 1, mode="wrap"))
+    size = np.array(contrast) * (2.0 ** np.arange(1, len(contrast) + 1))[:, None, None]
+    counts = np.cumsum(size, axis=0) >= threshold * size.max(axis=0)
+    return 0.5 ** (1.5 + np.argmax(counts, axis=0))
 
 
 def test_mirrored_and_carried_around_the_sphere_without_a_step():

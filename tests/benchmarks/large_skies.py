@@ -4,7 +4,6 @@ import argparse
 import contextlib
 import gc
 import pathlib
-import re
 import tempfile
 import time
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.benchmarks.measuring import Report, answer, megabytes, peak_memory, run_child
+from tests.benchmarks.measuring import Report, answer, megabytes, peak_memory, resident_memory, run_child
 
 MODULE = "tests.benchmarks.large_skies"
 METHODS = "pixels", "vertices", "indirect", "sky", "prefiltered", "adaptive"
@@ -32,8 +31,8 @@ def main():
     rows = arguments.rows or (256 if arguments.quick else 4096)
     methods = [arguments.only] if arguments.only else METHODS[:: 4 if arguments.quick else 1]
     parameters = (
-        f"a map of {2 * rows} × {rows} pixels with a sun, {megabytes(24 * rows**2)} in single precision, from a file of "
-        "half floats; a ball over a floor; a process for each method"
+        f"a map of {2 * rows} × {rows} pixels with a sun, {megabytes(24 * rows**2)} in single precision, from a file "
+        "of half floats; a ball over a floor; a process for each method"
     )
     with contextlib.ExitStack() as stack:
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -66,7 +65,11 @@ def sky_pixels(rows: int):
     v, u = (np.arange(rows)[:, None] + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows)
     pixels = np.empty((rows, 2 * rows, 3), np.float16)
     noise = np.random.default_rng(0).uniform(0.7, 1.3, (64, 2 * rows)).astype(np.float32)
-    x, y, z = np.sin(np.pi * v) * np.cos(2 * np.pi * u), np.cos(np.pi * v) + 0 * u, np.sin(np.pi * v) * np.sin(2 * np.pi * u)
+    x, y, z = (
+        np.sin(np.pi * v) * np.cos(2 * np.pi * u),
+        np.cos(np.pi * v) + 0 * u,
+        np.sin(np.pi * v) * np.sin(2 * np.pi * u),
+    )
     sun = x * 0.48 + y * 0.8 + z * 0.36 > np.cos(max(np.radians(0.27), 0.8 * np.pi / rows))
     for channel, colour in enumerate((0.4, 0.6, 1.0)):
         for start in range(0, rows, 64):
@@ -82,14 +85,6 @@ def write_sky(path: pathlib.Path, rows: int):
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"RGB": sky_pixels(rows)}).write(str(path))
-
-
-def resident() -> int:
-    """Bytes that this process holds now."""
-    status = pathlib.Path("/proc/self/status").read_text()
-    match = re.search(r"VmRSS:\s*(\d+) kB", status)
-    assert match
-    return int(match[1]) * 1024
 
 
 def peak_of(function: Callable[[], Any]) -> tuple[Any, int, float]:
@@ -110,6 +105,7 @@ def child(name: str, file: pathlib.Path):
     import jax.numpy as jnp
 
     import jaxrelight as jr
+    from jaxrelight.lights import prefiltered
     from tests.extremes.scenes import ball
 
     methods = {
@@ -142,7 +138,7 @@ def child(name: str, file: pathlib.Path):
         gradient(small, relighter.trace(lit, view) if name == "adaptive" else None)
         del lit, small
         gc.collect()
-        before, size = resident(), 0
+        before, size = resident_memory(), 0
         peaks, first, again = {}, {}, {}
 
         def step(what: str, function):
@@ -156,7 +152,7 @@ def child(name: str, file: pathlib.Path):
         # A plan of samples is made for one light, and serves others; shadow rays are cast for each light.
         traced = relighter.trace(lit, view) if name == "adaptive" else None
         step("shade", lambda: relighter.shade(lit, view, traced).radiance)
-        del lit
+        lit = None
         step("turned", lambda: light(sky.with_(rotate_y=20.0)))
         step("gradient", lambda: gradient(sky, traced))
         for what, function in {
@@ -164,8 +160,8 @@ def child(name: str, file: pathlib.Path):
             "gradient": lambda: gradient(sky.with_(rotate_y=40.0), traced),
         }.items():
             again[what] = peak_of(function)[2]
-        del sky
-        sky = step("file", lambda: jr.load_environment(file))
+        # Only a light that is new is filtered.
+        prefiltered._REMEMBERED.clear()
         again["light"] = peak_of(lambda: light(sky))[2]
     answer(
         {

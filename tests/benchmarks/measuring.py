@@ -249,6 +249,13 @@ def peak_memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
+def resident_memory() -> int:
+    """Bytes that this process holds now, from /proc."""
+    match = re.search(r"VmRSS:\s*(\d+) kB", pathlib.Path("/proc/self/status").read_text())
+    assert match
+    return int(match[1]) * 1024
+
+
 def run_child(module: str, *arguments: str) -> dict:
     """What a fresh process that runs `python -m module arguments` returns with `answer`.
 

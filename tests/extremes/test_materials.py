@@ -27,12 +27,12 @@ def test_lobes_of_every_width_reflect_no_more_than_they_get(holds, method, expon
     """And what they do against the directional albedo, by quadrature, where nothing is hidden."""
     camera = jr.Camera((0, 2, 2), (0, 0, 0), fov_y=1, width=16, height=16)
     image = picture_of(plain(phong(0.0, 0.8, exponent), camera), method, ONE, tmp_path)
-    wanted = _reflected(exponent, np.pi / 4)
+    wanted = reflected(0.8, exponent, np.pi / 4)
     limit = 0.03 if method == "adaptive" else 0.012
     holds(f"{method}: a lobe of exponent {exponent:g}", np.abs(image / wanted - 1).max(), limit)
 
 
-def _reflected(exponent: float, angle: float) -> float:
+def reflected(albedo: float, exponent: float, angle: float) -> float:
     """∫ f cosθ dω of Phong's lobe at an angle from the normal, in double precision."""
     # Around the peak, whose nearest directions are told apart; u is uniform under the lobe.
     u = (np.arange(4000) + 0.5) / 4000
@@ -40,7 +40,7 @@ def _reflected(exponent: float, angle: float) -> float:
     azimuth = 2 * np.pi * (np.arange(400) + 0.5) / 400
     sine = np.sqrt(1 - cosine**2)
     z = cosine[:, None] * np.cos(angle) + sine[:, None] * np.cos(azimuth) * np.sin(angle)
-    return float(0.8 * (exponent + 2) / (exponent + 1) * np.mean(np.maximum(z, 0)))
+    return float(albedo * (exponent + 2) / (exponent + 1) * np.mean(np.maximum(z, 0)))
 
 
 @pytest.mark.parametrize("exponent", [0.0, 1e-3, 1e5])

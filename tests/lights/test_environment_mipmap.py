@@ -9,6 +9,7 @@ import pytest
 
 from jaxrelight import environment
 from jaxrelight.basis import latlong
+from jaxrelight.lights import environment_mipmap as environment_mipmap_file
 from jaxrelight.lights.environment_mipmap import cells, environment_mipmap, light_bandwidth
 
 _RANDOM = np.random.default_rng(1).normal(size=(200, 3))
@@ -127,6 +128,18 @@ def test_differentiable_in_pixels():
     # Means' weights sum to 1 for each of two look-ups and three channels.
     np.testing.assert_allclose(gradient.sum(), 6, rtol=1e-5)
     assert (gradient >= 0).all()
+
+
+def test_maps_of_too_many_rows_are_made_coarse_first(monkeypatch):
+    monkeypatch.setattr(environment_mipmap_file, "_MAX_ROWS", 16)
+    fine = noise(48)
+    light = environment_mipmap(environment(fine))
+    wanted = environment_mipmap(environment(latlong.resized(fine, 16, 32)))
+    assert light.radiance.rows == 16
+    np.testing.assert_allclose(light.radiance.values, wanted.radiance.values, rtol=1e-6)
+    assert light.detail is not None
+    assert wanted.detail is not None
+    np.testing.assert_allclose(light.detail.values, wanted.detail.values, rtol=1e-5)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 70.0])

@@ -706,8 +706,6 @@ def _small_scene() -> Scene:
 def small(request, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("small")
     precompute(_small_scene(), dataclasses.replace(METHOD, receivers=request.param), folder)
-    # Tables of the resampling are made once, here in float32.
-    latlong.area_resampling(4, 8, METHOD.resolution)
     return open_transport(folder)
 
 
