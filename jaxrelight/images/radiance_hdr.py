@@ -12,6 +12,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.images.primaries import to_rec709
 
 _MAX_HEADER = 1 << 16
+_ROW_BATCH = 64
 _RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,9}) +([+-])([XY]) +(\d{1,9})\s*")
 _CODED_WIDTHS = range(8, 0x8000)  # scanlines that the new coding can hold
 _DEFAULT_PRIMARIES = (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 1 / 3, 1 / 3)  # written by default, and meant as Rec.709
@@ -55,11 +56,16 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
         rgbe = rgbe[:, ::-1]
     if resolution[2] == b"X":
         rgbe = rgbe.swapaxes(0, 1)
-    exponents = np.where(rgbe[..., 3] > 0, rgbe[..., 3].astype(np.int32) - 136, -1000)  # e = 0 is black
-    pixels = np.ldexp(rgbe[..., :3].astype(np.float32), exponents[..., None])
-    with np.errstate(over="ignore", invalid="ignore"):
-        pixels = pixels if (scale == 1).all() else pixels / scale
-        return pixels if primaries is None else pixels @ primaries.T.astype(np.float32)
+    pixels = np.empty((*rgbe.shape[:2], 3), np.float32)
+    # Some rows at a time: what lies between is several times the picture.
+    for start in range(0, len(rgbe), _ROW_BATCH):
+        rows = slice(start, start + _ROW_BATCH)
+        exponents = np.where(rgbe[rows, :, 3] > 0, rgbe[rows, :, 3].astype(np.int32) - 136, -1000)  # e = 0 is black
+        colours = np.ldexp(rgbe[rows, :, :3].astype(np.float32), exponents[..., None])
+        with np.errstate(over="ignore", invalid="ignore"):
+            colours = colours if (scale == 1).all() else (colours / scale).astype(np.float32)
+            pixels[rows] = colours if primaries is None else colours @ primaries.T.astype(np.float32)
+    return pixels
 
 
 def encode_radiance(pixels: np.ndarray) -> bytes:

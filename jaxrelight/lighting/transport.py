@@ -50,9 +50,9 @@ from jaxrelight.lighting.visible_surfaces import (
     surface_component,
     trace_view,
 )
-from jaxrelight.lights.environment import Environment, coarsened, encode, texels_of
+from jaxrelight.lights.environment import Environment, coarsened, encode, texels_of, with_coarse_pixels
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
-from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
+from jaxrelight.lights.prefiltered import COARSE_RESOLUTION, PrefilteredMaps, maps_of
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
@@ -254,14 +254,18 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         """
         lights = as_lights(lights)
         environment = lights.environment
-        if environment is None:
+        used = environment
+        if environment is not None and is_traced(environment.pixels):
+            # Terms and maps share the slopes in all pixels of a large map, which would be as large for each of them.
+            used = with_coarse_pixels(environment, max(self.method.resolution, COARSE_RESOLUTION))
+        if used is None:
             pixels = np.zeros((2, 4, 3), np.float32)
             terms = self.terms(self.light_vector(pixels))
         elif self.method.coefficients == "all" or not self.method.split_sun:
-            terms = self.terms(self._light_vector_of(environment))
+            terms = self.terms(self._light_vector_of(used))
         else:
-            terms = self._terms_with_sun(environment)
-        return TransportLight(environment, terms, group_lights(lights.local), self._maps(environment))
+            terms = self._terms_with_sun(used)
+        return TransportLight(environment, terms, group_lights(lights.local), self._maps(used))
 
     def _terms_with_sun(self, environment: Environment) -> LightTerms:
         whole = texels_of(environment, self.method.resolution)

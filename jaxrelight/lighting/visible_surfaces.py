@@ -275,8 +275,8 @@ def trace_view(
         end,
     )
     u, v = latlong.coordinates(gbuffer.directions)
+    u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
     place = places([part.pixels for part in parts], gbuffer.covered.size)
-    u, v, covered = map(as_array, (u, v, gbuffer.covered))
     return VisibleSurfaces(tuple(parts), points, place, covered, u, v), gbuffer
 
 

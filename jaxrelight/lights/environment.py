@@ -175,6 +175,11 @@ def coarsened(pixels: Float[Array | np.ndarray, "h w c"], resolution: int) -> Fl
     return pixels if (height, width) == pixels.shape[:2] else latlong.resized(pixels, height, width)
 
 
+def with_coarse_pixels(environment: Environment, resolution: int) -> Environment:
+    """The environment with its pixels `coarsened`."""
+    return eqx.tree_at(lambda of: of.pixels, environment, coarsened(environment.pixels, resolution))
+
+
 @jax.jit
 def encode(
     pixels: Float[Array, "h w c"],

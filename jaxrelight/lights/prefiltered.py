@@ -24,7 +24,7 @@ _SHARPEST = 2**14
 # Rows of maps are multiples of so many.
 _ROWS = 16
 # An environment is made coarse first, as for a cube map of this resolution, or of a quarter of the finest map's rows.
-_COARSE_RESOLUTION = 128
+COARSE_RESOLUTION = 128
 # Environments whose maps are remembered.
 _MAX_REMEMBERED = 4
 
@@ -132,7 +132,7 @@ def prefilter(
     rows = [finest if equal else _ROWS * math.ceil(8 * math.pi * math.sqrt(n + 1) / _ROWS) for n in every]
     heights = [min(max(height, 32), finest) for height in rows]
     # Finer pixels are seen by none of the maps, but cost memory and time.
-    maps = filtered_maps(coarsened(pixels, max(_COARSE_RESOLUTION, finest // 4)), every, heights)
+    maps = filtered_maps(coarsened(pixels, max(COARSE_RESOLUTION, finest // 4)), every, heights)
     return PrefilteredMaps(_joined(maps), tuple(heights), first)
 
 
