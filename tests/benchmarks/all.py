@@ -23,6 +23,7 @@ PROGRAMS = (
     "light_truncation",
     "mesh_size",
     "large_scenes",
+    "large_skies",
     "second_render",
     "starts",
     "quantised_rows",

@@ -4,6 +4,7 @@
 """
 
 import contextlib
+import ctypes
 import gc
 import sys
 from typing import Any
@@ -50,6 +51,14 @@ def lights(number: int, local: bool) -> list[Any]:
     return [sky, jr.point([*generator.uniform(-1, 1, 2), 2.0], float(generator.uniform(1, 3)))] if local else [sky]
 
 
+def _held() -> int:
+    """Bytes that are in use, and not only kept for what may come."""
+    gc.collect()
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).malloc_trim(0)
+    return resident_memory()
+
+
 def main(method: str, folder: str, steps: int, what: str):
     """Takes the steps and prints what was counted."""
     # What is remembered of rays is bounded by bytes: by so few that 100 steps reach them.
@@ -86,8 +95,7 @@ def main(method: str, folder: str, steps: int, what: str):
         for number in range(2, steps + 1):
             values.append(step(number))
             if number % SETTLED == 0:
-                gc.collect()
-                held.append(resident_memory())
+                held.append(_held())
     answer({"held": held, "counts": counts, "values": [values[0], values[-1]]})
 
 
