@@ -146,7 +146,7 @@ def to_fields(module: eqx.Module, what: str) -> tuple[dict[str, Any], dict[str, 
 
 
 def from_fields(cls: type, fields: dict[str, Any], read: Callable[[str], np.ndarray], what: str) -> Any:
-    """The module whose fields `to_fields` wrote; its arrays are JAX's, of the types that they had.
+    """The module whose fields `to_fields` wrote; its arrays are as `restored` gives them.
 
     Args:
         cls: its class, as `find_class` gives it.
@@ -158,19 +158,19 @@ def from_fields(cls: type, fields: dict[str, Any], read: Callable[[str], np.ndar
         InputError: if the class has other fields now, or that of a module in a field is not known.
     """
 
-    def decoded(value: Any) -> Any:
+    def decoded(value: Any, field: dataclasses.Field) -> Any:
         if not isinstance(value, dict):
             return value
         if "class" in value:
             return from_fields(find_class(value["class"], eqx.Module, what), value["fields"], read, what)
         ((kind, content),) = value.items()
         if kind == "array":
-            return as_array(read(content))
+            return restored(read(content), field)
         if kind == "dict":
-            return {key: decoded(item) for key, item in content.items()}
-        return {"tuple": tuple, "list": list}[kind](decoded(item) for item in content)
+            return {key: decoded(item, field) for key, item in content.items()}
+        return {"tuple": tuple, "list": list}[kind](decoded(item, field) for item in content)
 
-    now = [field.name for field in dataclasses.fields(cls)]
+    now = {field.name: field for field in dataclasses.fields(cls)}
     if sorted(now) != sorted(fields):
         raise InputError(
             f"{what} is of the class '{cls.__qualname__}', which has the fields {', '.join(now) or 'none'}, and had "
@@ -179,8 +179,13 @@ def from_fields(cls: type, fields: dict[str, Any], read: Callable[[str], np.ndar
     module = object.__new__(cls)
     for name, value in fields.items():
         # JAX, too, makes modules again like this: they are frozen, and their own `__init__` takes what it likes.
-        object.__setattr__(module, name, decoded(value))
+        object.__setattr__(module, name, decoded(value, now[name]))
     return module
+
+
+def restored(array: np.ndarray, field: dataclasses.Field) -> Any:
+    """An array of a field as it was: JAX's, of its type; of positions in the world NumPy's, in double precision."""
+    return np.array(array) if field.metadata.get("is_place") else as_array(array)
 
 
 def _is_array(value: Any) -> bool:

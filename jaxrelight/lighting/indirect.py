@@ -103,7 +103,6 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
             points.positions,
             points.face_normals,
             normals,
-            surfaces.centre,
             surfaces.radius,
         )
 
@@ -126,6 +125,11 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
     def materials(self) -> tuple[SurfaceMaterial, ...]:
         """The materials of what is seen."""
         return self.pixels.materials
+
+    @property
+    def _centre(self) -> Float[np.ndarray, "3"]:
+        """Of the scene, in the world."""
+        return self.precomputed.stored.geometry.surfaces.centre
 
     def scene_lights(self) -> Lights:
         """The scene's own lights, read from the store."""
@@ -175,7 +179,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         environment, local = lights.environment, list[Light](lights.local)
         if environment is not None and not self.method.sky:
             local.append(sky_of(environment, self.method.sky_samples))
-        groups = group_lights(local)
+        groups = group_lights(local, self._centre)
         total = jnp.zeros_like(self.precomputed.cloud.albedo)
         if bounces and (groups or self.transport.emits or environment is None):
             total = self.add_bounces(self.direct_light_at_cloud(groups), bounces)
@@ -194,7 +198,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
     ) -> Float[Array, "g c"]:
         """Radiance that the cloud's points emit, and reflect of lights: g_d of the paper."""
         groups = [one for one in lights if isinstance(one, LightGroup)]
-        groups += group_lights([one for one in lights if isinstance(one, Light)])
+        groups += group_lights([one for one in lights if isinstance(one, Light)], self._centre)
         visibility = trace_visibility(self.points, groups) if shadows else all_visible(self.points, groups)
         cloud = self.precomputed.cloud
         irradiance = jnp.zeros_like(cloud.albedo)

@@ -91,7 +91,7 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
         if environment is not None:
             self._check_filtered()
             maps = maps_of(environment, self.method.map_rows)
-        return PrefilteredLight(environment, maps, group_lights(lights.local))
+        return PrefilteredLight(environment, maps, group_lights(lights.local, self.geometry.surfaces.centre))
 
     def _check_filtered(self):
         for material in self.materials:

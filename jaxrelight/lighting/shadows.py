@@ -31,7 +31,7 @@ class SurfacePoints(eqx.Module):
 
     Attributes:
         origins: of shadow rays, in scene space: the points, lifted off their surfaces.
-        positions: of the points in the world.
+        positions: of the points, in world units from the scene's centre.
         normals: unit shading normals; no ray starts towards a light behind them.
         radius: the length of scene space's unit in the world.
         tracer: of the scene.
@@ -67,7 +67,6 @@ def surface_points(
     positions: Float[np.ndarray, "p 3"],
     face_normals: Float[np.ndarray, "p 3"],
     normals: Float[np.ndarray, "p 3"],
-    centre: Float[np.ndarray, "3"],
     radius: float,
     least: int = 0,
 ) -> SurfacePoints:
@@ -78,16 +77,15 @@ def surface_points(
         positions: in scene space, on the surfaces.
         face_normals: unit normals along which the origins of rays are lifted.
         normals: unit shading normals, or zeros for points that nothing lights.
-        centre: of scene space in the world.
-        radius: the length of its unit in the world.
+        radius: the length of scene space's unit in the world.
         least: the smallest number of points with padding.
     """
     length = bucket(max(len(positions), least), 1024)
     lifted = positions + OFFSET * face_normals
-    origins, world, shading = jax.device_put(
-        tuple(filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius + centre, normals))
+    origins, scaled, shading = jax.device_put(
+        tuple(filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius, normals))
     )
-    return SurfacePoints(origins, world, shading, as_array(radius, np.float32), tracer)
+    return SurfacePoints(origins, scaled, shading, as_array(radius, np.float32), tracer)
 
 
 class LightGroup(eqx.Module):
@@ -106,13 +104,21 @@ class LightGroup(eqx.Module):
 Visibility = tuple[UInt8[Array, "_ _"], ...]
 
 
-def group_lights(lights: Sequence[Light]) -> tuple[LightGroup, ...]:
-    """The punctual parts of lights, stacked by their kinds."""
+def group_lights(lights: Sequence[Light], centre: Float[np.ndarray, "3"]) -> tuple[LightGroup, ...]:
+    """The punctual parts of lights, stacked by their kinds.
+
+    Args:
+        lights: in the world.
+        centre: of the scene, from which their positions count as those of `SurfacePoints` do.
+
+    Raises:
+        InputError: see `Punctual.relative_to`.
+    """
     kinds: dict[object, list[Punctual]] = {}
     for light in lights:
         for part in light.parts():
             # Numbers that are no arrays would be compiled in, for every place of a light anew.
-            part = jax.tree.map(as_array, part)
+            part = jax.tree.map(as_array, part.relative_to(centre))
             leaves, structure = jax.tree.flatten(part)
             kinds.setdefault((structure, tuple((x.shape, x.dtype) for x in leaves)), []).append(part)
     return tuple(_stacked(parts) for parts in kinds.values())

@@ -265,7 +265,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             terms = self.terms(self._light_vector_of(used))
         else:
             terms = self._terms_with_sun(used)
-        return TransportLight(environment, terms, group_lights(lights.local), self._maps(used))
+        groups = group_lights(lights.local, self.transport.surfaces.centre)
+        return TransportLight(environment, terms, groups, self._maps(used))
 
     def _terms_with_sun(self, environment: Environment) -> LightTerms:
         whole = texels_of(environment, self.method.resolution)

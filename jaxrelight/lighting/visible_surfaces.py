@@ -109,7 +109,7 @@ class SurfacePart(eqx.Module):
     start: Int[Array, ""]
 
     def positions(self, points: SurfacePoints) -> Float[Array, "p 3"]:
-        """Positions of the pixels in the world; padding has those of other pixels."""
+        """Positions of the pixels in world units from the scene's centre; padding has those of other pixels."""
         return jax.lax.dynamic_slice_in_dim(points.positions, self.start, len(self.pixels.pixel))
 
 
@@ -270,7 +270,6 @@ def trace_view(
         gbuffer.positions[pixel_order],
         gbuffer.face_normals[pixel_order],
         gbuffer.normals[pixel_order],
-        surfaces.centre,
         surfaces.radius,
         end,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
-from jaxrelight.lights.local import Incident, Light, Punctual, from_point, power, vector
+from jaxrelight.lights.local import PLACE, Incident, Light, Place, Punctual, from_point, place, power, vector
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Numbers, Vector, float_dtype, holds
 
@@ -18,19 +18,21 @@ class Patch(Punctual):
     """A small flat piece of a surface that emits the same radiance in all directions in front of it.
 
     Attributes:
-        position: of its centre.
+        centre: of the surface.
+        offset: of the piece's centre from that.
         normal: of unit length.
         intensity: radiance times area, along the normal.
     """
 
-    position: Float[Array, "3"]
+    centre: Place = eqx.field(metadata=PLACE)
+    offset: Float[Array, "3"]
     normal: Float[Array, "3"]
     intensity: Float[Array, "3"]
 
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and the cosine of the angle from the normal."""
-        incident = from_point(self.position, self.intensity, positions)
+        incident = from_point(self.centre + self.offset, self.intensity, positions)
         cosine = jnp.maximum(jnp.matmul(-incident.omega_i, self.normal, precision="highest"), 0)
         return incident._replace(irradiance=incident.irradiance * cosine[:, None], within=cosine > 0)
 
@@ -46,7 +48,7 @@ class Area(Light):
         samples: patches along each edge.
     """
 
-    centre: Float[Array, "3"]
+    centre: Place = eqx.field(metadata=PLACE)
     u: Float[Array, "3"]
     v: Float[Array, "3"]
     radiance: Float[Array, "3"]
@@ -59,7 +61,7 @@ class Area(Light):
         # Numbers of Python, which leave the type to the arrays.
         steps = ((np.arange(self.samples) + 0.5) / self.samples - 0.5).tolist()
         return [
-            Patch(self.centre + a * self.u + b * self.v, across / area, self.radiance * area / self.samples**2)
+            Patch(self.centre, a * self.u + b * self.v, across / area, self.radiance * area / self.samples**2)
             for a in steps
             for b in steps
         ]
@@ -84,5 +86,5 @@ def area(centre: Vector, u: Vector, v: Vector, radiance: Numbers, samples: int =
         raise InputError("an area light's edges u and v lie along each other, or are 0; give it a surface")
     if not (isinstance(samples, int) and 1 <= samples <= 64):
         raise InputError(f"an area light's samples along an edge must be from 1 to 64, not {samples!r}")
-    middle, emitted = vector("centre", centre, dtype), power("radiance", radiance, dtype)
-    return Area(*(as_array(each) for each in (middle, *edges, emitted)), samples=samples)
+    middle, emitted = place("centre", centre, dtype), power("radiance", radiance, dtype)
+    return Area(middle, *(as_array(each) for each in (*edges, emitted)), samples=samples)

@@ -1,6 +1,7 @@
 """Lights with a place or a direction: what arrives at points of the world. No rays are traced here."""
 
 import abc
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrelight.errors import InputError
 from jaxrelight.numerics import safe
-from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.numerics.numbers import (
     Number,
     Numbers,
@@ -21,9 +22,16 @@ from jaxrelight.numerics.numbers import (
     as_numbers,
     float_dtype,
     holds,
+    is_known,
     module_of,
     shown,
 )
+
+
+# What is a position in the world. One that is known stays on the host in double precision until it is told from a
+# scene's centre: in single precision it would be off by 0.03 where it is 1e6 from the origin.
+PLACE = {"is_place": True}
+Place = Float[Array | np.ndarray, "3"]
 
 
 class Incident(NamedTuple):
@@ -54,21 +62,57 @@ class Punctual(Light):
     """A light that comes from one direction at each point. A light of your own is a class of this kind.
 
     `at` is pure, compiled, and differentiable in positions and in the light's numbers: it is written in `jax.numpy`.
+    Fields that are positions in the world are declared as `eqx.field(metadata=PLACE)`.
     """
 
     @abc.abstractmethod
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """What arrives at positions in the world."""
 
+    def relative_to(self, origin: Float[np.ndarray, "3"]) -> "Punctual":
+        """The light where positions count from an origin: near it they are exact in single precision, too.
+
+        Raises:
+            InputError: for a target so near its light that single precision does not tell them apart.
+        """
+        fields = dataclasses.fields(self)
+        dtype = float_dtype([getattr(self, field.name) for field in fields if not field.metadata.get("is_place")])
+        places = {
+            field.name: _from_origin(getattr(self, field.name), origin, dtype)
+            for field in fields
+            if field.metadata.get("is_place")
+        }
+        if not places:
+            return Displaced(self, origin)
+        if {"position", "target"} <= places.keys():
+            check_target("a light", places["position"], places["target"])
+        return dataclasses.replace(self, **places)
+
     def parts(self) -> Sequence["Punctual"]:
         """Itself."""
         return (self,)
 
 
+class Displaced(Punctual):
+    """Any light, where positions count from an origin.
+
+    Attributes:
+        light: as it is in the world.
+        origin: in the world.
+    """
+
+    light: Punctual
+    origin: Place
+
+    def at(self, positions: Float[Array, "p 3"]) -> Incident:
+        """What the light gives there."""
+        return self.light.at(positions + jnp.asarray(self.origin, positions.dtype)[None])
+
+
 class Point(Punctual):
     """Intensity in W/sr, the same in all directions, from a position."""
 
-    position: Float[Array, "3"]
+    position: Place = eqx.field(metadata=PLACE)
     intensity: Float[Array, "3"]
 
     @jax.jit
@@ -83,8 +127,8 @@ class Spot(Punctual):
     Intensity is whole up to `beam` degrees from the axis, nothing beyond `cutoff`, and linear in the angle between.
     """
 
-    position: Float[Array, "3"]
-    target: Float[Array, "3"]
+    position: Place = eqx.field(metadata=PLACE)
+    target: Place = eqx.field(metadata=PLACE)
     intensity: Float[Array, "3"]
     cutoff: Float[Array, ""]
     beam: Float[Array, ""]
@@ -120,11 +164,16 @@ class Directional(Punctual):
         irradiance = jnp.broadcast_to(self.irradiance, positions.shape)
         return Incident(towards, jnp.full(positions.shape[:1], jnp.inf, positions.dtype), irradiance)
 
+    def relative_to(self, origin: Float[np.ndarray, "3"]) -> Punctual:
+        """Itself."""
+        return self
+
 
 def point(position: Vector, intensity: Numbers) -> Point:
     """A point light. Differentiable; numbers of this and of all other lights may be traced.
 
-    The light has the floating type of the arrays given, or JAX's own for numbers of Python.
+    The light has the floating type of the arrays given, or JAX's own for numbers of Python. Positions that are known
+    stay on the host in double precision: pictures of a scene far from the origin are as exact as those of one near it.
 
     Args:
         position: in world units.
@@ -134,7 +183,7 @@ def point(position: Vector, intensity: Numbers) -> Point:
         InputError: for numbers that are not finite, negative intensities, or other shapes.
     """
     dtype = float_dtype(position, intensity)
-    return Point(as_array(vector("position", position, dtype)), power("intensity", intensity, dtype))
+    return Point(place("position", position, dtype), power("intensity", intensity, dtype))
 
 
 def spot(position: Vector, target: Vector, intensity: Numbers, cutoff: Number, beam: Number | None = None) -> Spot:
@@ -161,11 +210,10 @@ def spot(position: Vector, target: Vector, intensity: Numbers, cutoff: Number, b
         raise InputError(
             f"a spot's angles must be 0 ≤ beam ≤ cutoff ≤ 180, not beam {shown(beam_angle)} and cutoff {shown(cutoff)}"
         )
-    place, aim = vector("position", position, dtype), vector("target", target, dtype)
-    if not holds(lambda place, aim: (place != aim).any(), place, aim):
-        raise InputError("a spot's target is where it stands; give it another")
-    placed, angles = (as_array(place), as_array(aim)), (as_array(outer, dtype), as_array(inner, dtype))
-    return Spot(*placed, power("intensity", intensity, dtype), *angles)
+    stands, aim = place("position", position, dtype), place("target", target, dtype)
+    check_target("a spot", stands, aim)
+    angles = as_array(outer, dtype), as_array(inner, dtype)
+    return Spot(stands, aim, power("intensity", intensity, dtype), *angles)
 
 
 def directional(direction: Vector, irradiance: Numbers) -> Directional:
@@ -185,8 +233,27 @@ def directional(direction: Vector, irradiance: Numbers) -> Directional:
     return Directional(as_array(along), power("irradiance", irradiance, dtype))
 
 
+def _from_origin(position: Place, origin: Float[np.ndarray, "3"], dtype: np.dtype) -> Place:
+    """A position less an origin: in double precision where it is known."""
+    if not is_traced(position):
+        return (np.asarray(position, float) - origin).astype(dtype)
+    # In two steps, of which the first is exact near the origin; XLA would make them one.
+    coarse = origin.astype(position.dtype)
+    return jax.lax.optimization_barrier(position - coarse) - (origin - coarse).astype(position.dtype)
+
+
+def check_target(what: str, position: Place, target: Place) -> None:
+    """Refuses a light that does not know where it looks, as far as that is known.
+
+    Raises:
+        InputError: naming it.
+    """
+    if not holds(lambda position, target: (target != position).any(), position, target):
+        raise InputError(f"{what}'s target is where it stands; give it another")
+
+
 def from_point(
-    place: Float[Array, "3"], intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]
+    place: Place, intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]
 ) -> Incident:
     """Light of one intensity in all directions: it falls off with the square of the distance."""
     towards = place[None] - positions
@@ -198,7 +265,7 @@ def from_point(
     return Incident(omega_i, distance, jnp.broadcast_to(intensity / square[:, None], positions.shape))
 
 
-def frame_towards(place: Float[Array, "3"], target: Float[Array, "3"], up: Float[Array, "3"]) -> Float[Array, "3 3"]:
+def frame_towards(place: Place, target: Place, up: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Rows right, up and forward of what looks from a place to a target, as a camera does."""
     forward = safe.normalize(target - place)
     right = safe.normalize(jnp.cross(forward, up))
@@ -215,6 +282,16 @@ def vector(name: str, values: Vector, dtype: DTypeLike) -> Any:
     if numbers.shape != (3,) or not holds(np.isfinite, numbers):
         raise InputError(f"{name} must be three finite numbers, not {shown(values)}")
     return numbers.astype(dtype)
+
+
+def place(name: str, values: Vector, dtype: DTypeLike) -> Place:
+    """A position of a light of a floating type, see `PLACE`.
+
+    Raises:
+        InputError: for what are not three finite numbers, by its name.
+    """
+    is_widest = dtype == jax.dtypes.canonicalize_dtype(np.float64)
+    return vector(name, values, np.float64 if is_widest and is_known(values) else dtype)
 
 
 def power(name: str, values: Numbers, dtype: DTypeLike | None = None) -> Float[Array, "3"]:

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
-from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, vector
+from jaxrelight.lights.local import Incident, Punctual, PLACE, Place, check_target, frame_towards, from_point, place, vector
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Number, Vector, as_numbers, float_dtype, holds, shown
 
@@ -26,8 +27,8 @@ class Projector(Punctual):
         image: intensities, the top row first.
     """
 
-    position: Float[Array, "3"]
-    target: Float[Array, "3"]
+    position: Place = eqx.field(metadata=PLACE)
+    target: Place = eqx.field(metadata=PLACE)
     up: Float[Array, "3"]
     fov_y: Float[Array, ""]
     image: Float[Array, "h w 3"]
@@ -79,15 +80,15 @@ def projector(
         raise InputError("a projector's image must be finite and not negative")
     if angle.ndim != 0 or not holds(lambda angle: (angle > 0) & (angle < 180), angle):
         raise InputError(f"a projector's fov_y must lie between 0 and 180 degrees, not {shown(fov_y)}")
-    placed = vector("position", position, dtype), vector("target", target, dtype), vector("up", up, dtype)
-    check_frame("a projector", *placed)
-    return Projector(*(as_array(each, dtype) for each in (*placed, angle, pixels)))
+    placed, upwards = (place("position", position, dtype), place("target", target, dtype)), vector("up", up, dtype)
+    check_frame("a projector", *placed, upwards)
+    return Projector(*placed, *(as_array(each, dtype) for each in (upwards, angle, pixels)))
 
 
 def check_frame(
     what: str,
-    position: Float[Array | np.ndarray, "3"],
-    target: Float[Array | np.ndarray, "3"],
+    position: Place,
+    target: Place,
     up: Float[Array | np.ndarray, "3"],
 ) -> None:
     """Refuses a light that does not know where it looks, or which way is up, as far as that is known.
@@ -95,8 +96,7 @@ def check_frame(
     Raises:
         InputError: naming it.
     """
-    if not holds(lambda position, target: (target != position).any(), position, target):
-        raise InputError(f"{what}'s target is where it stands; give it another")
+    check_target(what, position, target)
 
     def is_aside(position: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.bool_:
         forward = target - position

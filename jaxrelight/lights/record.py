@@ -10,13 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from jaxrelight.files.class_record import find_class, from_fields, import_classes, qualified_name, register, to_fields
+from jaxrelight.files.class_record import (
+    find_class,
+    from_fields,
+    import_classes,
+    qualified_name,
+    register,
+    restored,
+    to_fields,
+)
 from jaxrelight.lights.area import Area
 from jaxrelight.lights.local import Directional, Light, Point, Spot
 from jaxrelight.lights.projector import Projector
 from jaxrelight.lights.shaped import Shaped
 from jaxrelight.lights.sky import Sky
-from jaxrelight.numerics.arrays import as_array
 
 __all__ = ["from_records", "import_classes", "register", "to_records"]
 
@@ -78,7 +85,7 @@ def from_records(
             continue
         kind = _KINDS[record["type"]]
         values: dict[str, Any] = {
-            field.name: record[field.name] if field.metadata.get("static") else as_array(own(field.name))
+            field.name: record[field.name] if field.metadata.get("static") else restored(own(field.name), field)
             for field in dataclasses.fields(kind)
         }
         lights.append(kind(**values))

@@ -4,13 +4,14 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
-from jaxrelight.lights.local import Incident, Punctual, frame_towards, from_point, power, vector
+from jaxrelight.lights.local import PLACE, Incident, Place, Punctual, frame_towards, from_point, place, power, vector
 from jaxrelight.lights.projector import check_frame
 from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
@@ -37,8 +38,8 @@ class Shaped(Punctual):
         reference: distance at which all exponents give the same light.
     """
 
-    position: Float[Array, "3"]
-    target: Float[Array, "3"]
+    position: Place = eqx.field(metadata=PLACE)
+    target: Place = eqx.field(metadata=PLACE)
     up: Float[Array, "3"]
     intensity: Float[Array, "3"]
     inner: Float[Array, "2"]
@@ -56,9 +57,9 @@ class Shaped(Punctual):
         frame = frame_towards(self.position, self.target, self.up)
         right, upwards, depth = jnp.matmul(-incident.omega_i, frame.T, precision="highest").T
         in_front = depth > 1e-6
-        place = jnp.abs(jnp.stack([right, upwards], axis=1)) / jnp.where(in_front, depth, 1)[:, None]
+        aside = jnp.abs(jnp.stack([right, upwards], axis=1)) / jnp.where(in_front, depth, 1)[:, None]
         # How many times each shape has to grow to reach the place.
-        inner, outer = self._reach(place, self.inner), self._reach(place, self.outer)
+        inner, outer = self._reach(aside, self.inner), self._reach(aside, self.outer)
         width = inner - outer
         edge = jnp.where(width > 0, (inner - 1) * outer / jnp.where(width > 0, width, 1), (inner > 1) * 1.0)
         share = jnp.where(in_front, 1 - _smooth(edge), 0)
@@ -66,9 +67,9 @@ class Shaped(Punctual):
         fallen = safe.power(self.reference / jnp.maximum(incident.distance, 1e-6), self.falloff) / self.reference**2
         return incident._replace(irradiance=self.intensity[None] * (share * fallen)[:, None], within=share > 0)
 
-    def _reach(self, place: Float[Array, "p 2"], angles: Float[Array, "2"]) -> Float[Array, " p"]:
+    def _reach(self, aside: Float[Array, "p 2"], angles: Float[Array, "2"]) -> Float[Array, " p"]:
         exponent = 2 / jnp.maximum(self.roundness, 0.05)
-        sums = jnp.sum(safe.power(place / jnp.tan(jnp.radians(angles))[None], exponent), axis=1)
+        sums = jnp.sum(safe.power(aside / jnp.tan(jnp.radians(angles))[None], exponent), axis=1)
         return safe.power(sums, 1 / exponent)
 
 
@@ -144,12 +145,12 @@ def shaped(
         raise InputError(f"a shaped light's falloff must be 0 or more, not {shown(falloff)}")
     if not _is_one(reference, _is_positive):
         raise InputError(f"a shaped light's reference must be a distance above 0, not {shown(reference)}")
-    placed = vector("position", position, dtype), vector("target", target, dtype), vector("up", up, dtype)
-    check_frame("a shaped light", *placed)
+    placed, upwards = (place("position", position, dtype), place("target", target, dtype)), vector("up", up, dtype)
+    check_frame("a shaped light", *placed, upwards)
     angle_pairs = [module_of(angles).broadcast_to(angles, (2,)) for angles in shapes]
     emitted = power("intensity", intensity, dtype)
     numbers = (*angle_pairs, as_numbers(roundness), *distances, as_numbers(falloff), as_numbers(reference))
-    return Shaped(*(as_array(each, dtype) for each in (*placed, emitted, *numbers)))
+    return Shaped(*placed, *(as_array(each, dtype) for each in (upwards, emitted, *numbers)))
 
 
 def _is_positive(numbers: np.ndarray) -> np.ndarray | np.bool:

@@ -225,7 +225,7 @@ def _exact(relighter: AdaptiveRelighter, view: AdaptiveView, sky: np.ndarray) ->
     )
     irradiance = np.full((64, 3), (largest - 0.1) * latlong.solid_angles(rows, columns)[row] / 64)
     sun = Sky(jax.numpy.asarray(latlong.directions(u, v), np.float32), jax.numpy.asarray(irradiance, np.float32))
-    groups, points = group_lights([sun]), view.surfaces.points
+    groups, points = group_lights([sun], relighter.geometry.surfaces.centre), view.surfaces.points
     by_sun = shade_lights(relighter.materials, view.surfaces, groups, trace_visibility(points, groups))
     return np.asarray(even) + np.asarray(by_sun)
 

@@ -206,7 +206,7 @@ class Product:
         nothing = jnp.zeros((count, 2)), jnp.zeros(count)
         pixels = SurfacePixels(jnp.arange(count), *nothing, jnp.asarray(omega_o), jnp.asarray(frames))
         arrays = at.positions, at.face_normals, at.normals
-        points = surface_points(self.subset.tracer, *arrays, np.zeros(3), 1.0)  # pyright: ignore[reportArgumentType]
+        points = surface_points(self.subset.tracer, *arrays, 1.0)  # pyright: ignore[reportArgumentType]
         return np.asarray(traced_shares(_phong(exponent), pixels, points, 0, RAYS, narrower))
 
     def radiance(self, exponent: float, narrower: int, shares: np.ndarray | None = None) -> np.ndarray:

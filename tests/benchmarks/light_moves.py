@@ -294,7 +294,7 @@ def moves(name: str, folder: pathlib.Path, picture: str | None) -> dict:
 
     def lit(lamp, shadows: bool = True):
         """Light of the cloud that a lamp gives it, and samples of direct light."""
-        groups, points = group_lights([lamp]), view.samples.points
+        groups, points = group_lights([lamp], geometry.surfaces.centre), view.samples.points
         visibility = trace_visibility(points, groups) if shadows else all_visible(points, groups)
         direct = shade_lights(relighter.materials, view.samples, groups, visibility)
         return relighter.direct_light_at_cloud(groups, shadows=shadows), direct

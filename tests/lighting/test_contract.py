@@ -75,7 +75,7 @@ def traced_once(relighter):
 
 
 def test_all_parts_are_arguments_of_a_function_that_is_traced_once(name, root, relighter, traced_once):
-    """By arrays of JAX and numbers alone; prepared again, lit otherwise, and seen from elsewhere."""
+    """By arrays and numbers alone; prepared again, lit otherwise, and seen from elsewhere."""
     traces = []
 
     @jax.jit
@@ -86,7 +86,7 @@ def test_all_parts_are_arguments_of_a_function_that_is_traced_once(name, root, r
     view, lit, traced, image = traced_once
     for part in (relighter, view, lit, traced):
         leaves = jax.tree.leaves(part)
-        assert {type(leaf) for leaf in leaves} <= {float, int, bool, type(jnp.zeros(()))}
+        assert {type(leaf) for leaf in leaves} <= {float, int, bool, np.ndarray, type(jnp.zeros(()))}
         rebuilt = jax.tree.unflatten(jax.tree.structure(part), leaves)
         assert jax.tree.structure(rebuilt) == jax.tree.structure(part)
     np.testing.assert_allclose(shaded(relighter, lit, view, traced), image, rtol=1e-5, atol=1e-5)

@@ -122,7 +122,7 @@ def test_double_precision_gradients_of_the_picture(usual, kind):
         def bright(given):
             lamp, albedo = given
             light = usual.direct_light_at_cloud([lamp], albedo, shadows=False)
-            groups = group_lights([lamp])
+            groups = group_lights([lamp], usual.precomputed.stored.geometry.surfaces.centre)
             mine = lit._replace(cloud=usual.add_bounces(light, albedo=albedo), groups=groups)
             image = usual.shade(mine, view, all_visible(view.samples.points, groups))
             return jnp.sum(weights * image.radiance)

@@ -71,6 +71,7 @@ class Seen(NamedTuple):
 
     materials: tuple[SurfaceMaterial, ...]
     view: VisibleSurfaces
+    centre: np.ndarray
 
     @property
     def covered(self) -> np.ndarray:
@@ -86,19 +87,19 @@ def prepared(scene: Scene, **dials) -> PrefilteredRelighter:
 
 def look(scene: Scene, **dials) -> Seen:
     relighter = prepared(scene, **dials)
-    return Seen(relighter.materials, relighter.view())
+    return Seen(relighter.materials, relighter.view(), relighter.geometry.surfaces.centre)
 
 
 def under(seen: Seen, maps, *given, **how):
     """What `shade_environment` makes of a filtered environment."""
-    return shade_environment(*seen, maps, *given, **how)
+    return shade_environment(seen.materials, seen.view, maps, *given, **how)
 
 
 def lit_by(seen: Seen, lights, shadows: bool = True, **how):
     """What `shade_lights` makes of local lights, with shadow rays or without."""
-    groups = group_lights(lights)
+    groups = group_lights(lights, seen.centre)
     visibility = (trace_visibility if shadows else all_visible)(seen.view.points, groups)
-    radiance = shade_lights(*seen, groups, visibility, **how)
+    radiance = shade_lights(seen.materials, seen.view, groups, visibility, **how)
     assert radiance is not None
     return radiance
 

@@ -76,13 +76,13 @@ def floor() -> tuple[SurfacePoints, Counting]:
     places = random.uniform(-1, 1, (COUNT, 3)) * [1, 0, 1] - [0, 0.3, 0]
     normals = np.where(np.arange(COUNT)[:, None] % 2, UP, -UP)
     tracer = Counting(Tracer(surfaces))
-    given = surfaces.to_scene(places), np.tile(UP, (COUNT, 1)), normals, surfaces.centre, surfaces.radius
+    given = surfaces.to_scene(places), np.tile(UP, (COUNT, 1)), normals, surfaces.radius
     return surface_points(tracer, *given), tracer  # pyright: ignore[reportArgumentType]
 
 
 def reached(points: SurfacePoints, light: Light) -> np.ndarray:
     """Which points a light reaches."""
-    (bits,) = trace_visibility(points, group_lights([light]))
+    (bits,) = trace_visibility(points, group_lights([light], np.zeros(3)))
     return np.unpackbits(np.asarray(bits)[0], count=len(points.positions)).astype(bool)
 
 
@@ -158,7 +158,7 @@ def test_lights_of_a_kind_are_one_group_of_few_sizes(floor):
     """Filling is traced towards by no ray, and changes nothing of the others."""
     points, tracer = floor
     lamps = [point([0.1 * i - 0.5, 1, 0], 1) for i in range(17)]
-    of_points, of_suns = group_lights([*lamps[:4], LIGHTS["directional"], *lamps[4:]])
+    of_points, of_suns = group_lights([*lamps[:4], LIGHTS["directional"], *lamps[4:]], np.zeros(3))
     assert (len(of_points.is_real), len(of_suns.is_real)) == (18, 1)
     np.testing.assert_array_equal(of_points.is_real, np.arange(18) < 17)
     bits, _ = trace_visibility(points, (of_points, of_suns))
@@ -181,7 +181,7 @@ def test_a_directional_light_without_light_casts_no_rays(floor):
 def test_rays_inside_of_jit_are_those_outside(floor):
     """By one callback for all kinds of lights, and held fixed in derivatives."""
     points, _ = floor
-    groups = group_lights(list(LIGHTS.values()))
+    groups = group_lights(list(LIGHTS.values()), np.zeros(3))
 
     @jax.jit
     def traced(points, groups):

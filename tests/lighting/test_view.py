@@ -80,12 +80,11 @@ def test_corners_lie_around_the_point_that_is_seen(free: TransportRelighter):
     for part, corners in zip(view.surfaces.parts, view.corners, strict=True):
         groups = blocks[free.materials[part.material].name].groups
         positions = transport.receivers.positions[groups].reshape(-1, 3) * transport.surfaces.radius
-        positions += transport.surfaces.centre
         seen = np.asarray(part.pixels.pixel) < view.surfaces.covered.size
         of_corners = positions[np.asarray(corners.receivers)[seen]]
         point = np.einsum("pb,pbx->px", np.asarray(corners.weights)[seen], of_corners)
         np.testing.assert_allclose(np.asarray(part.positions(view.surfaces.points))[seen], point, atol=1e-4)
-        towards = point - np.array(CAMERA.origin)
+        towards = point + transport.surfaces.centre - np.array(CAMERA.origin)
         towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
         np.testing.assert_allclose(towards, directions[np.asarray(part.pixels.pixel)[seen]], atol=1e-4)
 

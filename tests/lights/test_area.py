@@ -36,7 +36,7 @@ def test_all_of_its_area_is_in_its_patches():
     parts = area((0, 0, 0), (3, 0, 0), (1, 2, 0), 5.0, samples=3).parts()
     assert len(parts) == 9
     np.testing.assert_allclose(sum(part.intensity for part in parts), 5 * 6, rtol=1e-6)
-    np.testing.assert_allclose(sum(part.position for part in parts), 0, atol=1e-6)
+    np.testing.assert_allclose(sum(part.centre + part.offset for part in parts), 0, atol=1e-6)
 
 
 @pytest.mark.usefixtures("wrong_types")

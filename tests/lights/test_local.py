@@ -6,8 +6,13 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxrelight.errors import InputError
-from jaxrelight.lights.local import directional, point, spot
+from jaxrelight.lights.area import area
+from jaxrelight.lights.local import Incident, Light, Punctual, directional, point, spot
+from jaxrelight.lights.projector import projector
+from jaxrelight.lights.shaped import shaped
 
+# Far away, and nothing that single precision could hold.
+AWAY = np.array([1e6 + 0.3, -2e6 + 0.1, 3e5 + 0.7])
 POINTS = np.random.default_rng(0).normal(size=(7, 3)).astype(np.float32)
 
 
@@ -50,6 +55,55 @@ def test_a_spot_is_a_point_within_its_beam_nothing_beyond_its_cutoff_and_linear_
 def test_at_the_light_itself_all_is_finite(light):
     incident = at(light, np.zeros((1, 3)))
     assert all(np.isfinite(part).all() for part in incident[:3])
+
+
+class Column(Punctual):
+    """Light of one's own, along an axis that is upright at x = 2**20."""
+
+    irradiance: jax.Array
+
+    def at(self, positions) -> Incident:
+        up = jax.numpy.broadcast_to(jax.numpy.asarray([0.0, 1, 0], positions.dtype), positions.shape)
+        inside = jax.numpy.abs(positions[:, 0] - 2.0**20) < 1
+        return Incident(up, jax.numpy.full(len(positions), jax.numpy.inf), inside[:, None] * self.irradiance[None])
+
+
+def lamps_at(place: np.ndarray) -> list[Light]:
+    """A lamp of every kind that has a position, there."""
+    aim = place + [1, 0.5, 0]
+    return [
+        point(place, 1),
+        spot(place, aim, 1, 60),
+        projector(place, aim, np.random.default_rng(0).uniform(size=(4, 4, 3)), 90),
+        shaped(place, aim, 1, 40, 70),
+        area(place, [1, 0, 0], [0, 0, 1], 1, 2),
+    ]
+
+
+def test_lamps_far_from_the_origin_are_exact_from_a_centre_nearby():
+    for near, far in zip(lamps_at(np.zeros(3)), lamps_at(AWAY), strict=True):
+        for wanted, told in zip(near.parts(), far.parts(), strict=True):
+            wanted, told = (at(light, POINTS).irradiance for light in (wanted, told.relative_to(AWAY)))
+            np.testing.assert_allclose(told, wanted, rtol=1e-5, atol=1e-6, err_msg=type(near).__name__)
+            assert wanted.any() or not told.any()
+
+
+def test_traced_positions_are_told_from_a_centre_as_exactly_as_they_are_known():
+    """Also where the compiler sees both steps."""
+    place = AWAY.astype(np.float32)
+    told = jax.jit(lambda place: point(place, 1).relative_to(AWAY).position)(place)
+    np.testing.assert_allclose(told, place.astype(float) - AWAY, atol=1e-7)
+
+
+def test_a_light_of_ones_own_is_told_where_points_are_in_the_world():
+    light = Column(np.ones(3, np.float32)).relative_to(np.array([2.0**20, 0, 0]))
+    np.testing.assert_array_equal(at(light, POINTS).irradiance[:, 0], np.abs(POINTS[:, 0]) < 1)
+
+
+@pytest.mark.usefixtures("wrong_types")
+def test_a_target_that_is_at_the_light_in_single_precision_is_refused():
+    with pytest.raises(InputError, match="target is where it stands"):
+        spot([1, 0, 0], [1 + 1e-12, 0, 0], 1, 30).relative_to(np.zeros(3))
 
 
 def test_gradients_are_right(x64):

@@ -53,6 +53,15 @@ def test_lights_of_a_class_of_ones_own_come_back():
         np.testing.assert_array_equal(one, other)
 
 
+def test_positions_come_back_in_double_precision():
+    """Without float64 in JAX, too."""
+    far = point([1e6 + 0.3, 0, 0], 1), Own(np.array([1e6 + 0.3, 0, 0]), LIGHTS[0].intensity)
+    records, arrays = to_records(far)
+    for light in from_records(records, arrays.__getitem__):
+        assert isinstance(light, Point)
+        np.testing.assert_array_equal(light.position, [1e6 + 0.3, 0, 0])
+
+
 def test_a_light_that_is_not_known_is_named():
     with pytest.raises(InputError, match="the store's light 1 is of the class 'Lamp' of the module 'my_lights'"):
         from_records([{"type": "my_lights:Lamp", "fields": {}}], {}.__getitem__)

@@ -124,7 +124,10 @@ def test_numbers_of_python_have_the_type_that_jax_is_set_to():
         light = spot([0, 1, 0], [0, 0, 0], 1, 30)
         assert {leaf.dtype for leaf in jax.tree.leaves(light)} == {np.dtype(np.float64)}
     light = spot(np.array([0.0, 1, 0]), [0, 0, 0], 1, 30)
-    assert {leaf.dtype for leaf in jax.tree.leaves(light)} == {np.dtype(np.float32)}
+    assert {leaf.dtype for leaf in (light.intensity, light.cutoff, light.beam)} == {np.dtype(np.float32)}
+    # Positions are rounded once the centre of a scene was subtracted.
+    assert {leaf.dtype for leaf in (light.position, light.target)} == {np.dtype(np.float64)}
+    assert {leaf.dtype for leaf in jax.tree.leaves(light.relative_to(np.zeros(3)))} == {np.dtype(np.float32)}
 
 
 def test_frames_of_points_are_rotations_to_the_last_digits_of_their_type(x64):

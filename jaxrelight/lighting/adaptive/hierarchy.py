@@ -57,7 +57,7 @@ class Features(NamedTuple):
         kind: pixels are interpolated among those of the same one; negative for what is not shaded at all.
         mirror: unit world direction in which the eye is mirrored.
         angular: bandwidth by that, in cycles per radian.
-        position: in the world.
+        position: in world units.
         spatial: bandwidth by that, in cycles per metre.
         contrast: the error, as it is seen, of being wrong by all there is.
     """

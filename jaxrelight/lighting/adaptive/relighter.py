@@ -155,13 +155,14 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
     def light(self, lights: LightsLike) -> AdaptiveLight:
         """Means of the environment over ever larger cells; its sun joins the local lights."""
         lights = as_lights(lights)
+        local = group_lights(lights.local, self.geometry.surfaces.centre)
         if lights.environment is None:
-            return AdaptiveLight(None, None, group_lights(lights.local))
+            return AdaptiveLight(None, None, local)
         mipmap = environment_mipmap(lights.environment)
         # It comes from a few directions: no sample would find them.
         shining = jnp.any(mipmap.sun.irradiance > 0, axis=1)
         sun = LightGroup(Directional(-mipmap.sun.directions, mipmap.sun.irradiance), shining)
-        return AdaptiveLight(lights.environment, mipmap, (*group_lights(lights.local), sun))
+        return AdaptiveLight(lights.environment, mipmap, (*local, sun))
 
     def trace(self, lit: AdaptiveLight, view: AdaptiveView, *, report: Report | None = None) -> AdaptiveTraced:
         """The plan of samples, and all shadow rays: those of samples, and towards local lights.

@@ -113,6 +113,7 @@ def make_view(
     every = np.zeros(shape, bool)
     every[:: 2 * factor, :: 2 * factor] = True
     covered, probes = np.flatnonzero(gbuffer.covered), []
+    eye = np.asarray(camera.origin) - geometry.surfaces.centre
     for number, (part, place) in enumerate(zip(surfaces.parts, map(np.asarray, places), strict=True)):
         real = np.flatnonzero(place < size)
         chosen = real[_is_probed(shown == number, every, factor)[place[real]]]
@@ -120,7 +121,7 @@ def make_view(
         point = np.searchsorted(covered, np.asarray(part.pixels.pixel)[chosen])
         bend = curvature(gbuffer, geometry.surfaces.radius, point)
         positions = np.asarray(part.positions(surfaces.points))[chosen]
-        distance = np.linalg.norm(positions - np.asarray(camera.origin), axis=1)
+        distance = np.linalg.norm(positions - eye, axis=1)
         pixels = jax.tree.map(lambda x, chosen=chosen: jax.device_put(padded(np.asarray(x), chosen)), part.pixels)
         pixels = eqx.tree_at(lambda of: of.pixel, pixels, jax.device_put(padded(place, chosen, size)))
         length = len(pixels.pixel)

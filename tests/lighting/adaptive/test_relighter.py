@@ -180,7 +180,7 @@ def test_a_sun_is_lit_by_a_few_directions_in_every_pixel():
     light, even = lit(light_of(pixels)), lit(light_of(np.full_like(pixels, 0.2)))
     relighter, surfaces = of_scene(tolerance=0.01), view().surfaces
     radiance = np.asarray(relighter.shade(light, view()).radiance)
-    groups = group_lights([directional(-towards, float(1e5 * area))])
+    groups = group_lights([directional(-towards, float(1e5 * area))], relighter.geometry.surfaces.centre)
     sun = np.asarray(shade_lights(relighter.materials, surfaces, groups, trace_visibility(surfaces.points, groups)))
     wanted = np.asarray(of_scene(seed=7).shade_uniform(even, view(), 512, filtered=True)) + sun
     assert off(radiance, wanted, covered()) < 0.02
@@ -202,7 +202,7 @@ def test_pictures_are_the_environment_local_lights_and_emission():
     on_floor = mine.part_image()[:40, :48] == 0
     light, both = (relighter.light([light_of(np.ones((8, 16, 3))), *more]) for more in ((), (lamp,)))
     plan = relighter.plan(light, mine)
-    groups = group_lights([lamp])
+    groups = group_lights([lamp], relighter.geometry.surfaces.centre)
     direct = shade_lights(relighter.materials, mine.surfaces, groups, trace_visibility(mine.surfaces.points, groups))
     wanted = np.asarray(relighter.shade_plan(light, mine, plan)) + np.asarray(direct) + on_floor[..., None] * glow
     traced = relighter.trace(both, mine)
