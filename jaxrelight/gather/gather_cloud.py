@@ -23,6 +23,10 @@ PARTS = 4
 # else what points stand for is less compact, and three times as many of them have to be looked at.
 PIECES = 0.5, 1 / 16
 
+# Values so near each other, relative to the largest, are even: symmetric scenes have many of them, and which one rounding
+# leaves larger depends on where in the world a scene is.
+_EVEN = 2.0**-20
+
 # How much points of some positions, normals and areas are worth.
 Worth = Callable[[np.ndarray, np.ndarray, np.ndarray], Float[np.ndarray, " p"]]
 
@@ -207,7 +211,7 @@ def _pieces(
         area = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) / 2
         split = (length.max(axis=1) > longest * np.sqrt(square)) & (area > largest * square)
         pieces.append((face[~split], corners[~split], back[~split]))
-        tip = np.argmax(length, axis=1)[split]
+        tip = _first_largest(length[split])
         a, b, c = (corners[split, (tip + k) % 3] for k in range(3))
         halves = np.stack([a, b, (b + c) / 2], axis=1), np.stack([a, (b + c) / 2, c], axis=1)
         face, corners, back = np.tile(face[split], 2), np.concatenate(halves), np.tile(back[split], 2)
@@ -227,12 +231,21 @@ def _compact(points: Float[np.ndarray, "p 3"], weights: Float[np.ndarray, " p"],
         starts = np.flatnonzero(np.diff(of_set, prepend=-1))
         number = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(order))))
         mine = points[order]
-        extent = np.maximum.reduceat(mine, starts) - np.minimum.reduceat(mine, starts)
-        along = mine[np.arange(len(mine)), np.argmax(extent, axis=1)[number]]
-        order = order[np.lexsort((along, number))]
+        low = np.minimum.reduceat(mine, starts)
+        extent = np.maximum.reduceat(mine, starts) - low
+        longest = _first_largest(extent)
+        along = (mine - low[number])[np.arange(len(mine)), longest[number]]
+        length = extent[np.arange(len(extent)), longest][number]
+        # Those that are even along it keep their order.
+        order = order[np.lexsort((np.rint(along / np.where(length > 0, length * _EVEN, 1)), number))]
         sums = np.cumsum(weights[order])
         # Of the set, up to the middle of each triangle.
         before = np.where(starts > 0, sums[starts - 1], 0)[number]
         total = np.add.reduceat(weights[order], starts)[number]
-        of_set = 2 * number + (sums - before - weights[order] / 2 > total / 2)
+        of_set = 2 * number + (sums - before - weights[order] / 2 > total * (0.5 + _EVEN))
     return order
+
+
+def _first_largest(values: Float[np.ndarray, "p n"]) -> Int[np.ndarray, " p"]:
+    """The number of the first of each row's largest values that are even."""
+    return np.argmax(values >= values.max(axis=1, keepdims=True) * (1 - _EVEN), axis=1)
