@@ -1,4 +1,4 @@
-"""Light of a rectangle, by samples of it: soft shadows (Hašan 2006 §6)."""
+"""Light of a rectangle, by pieces of it: soft shadows (Hašan 2006 §6)."""
 
 from collections.abc import Sequence
 
@@ -10,31 +10,77 @@ from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
 from jaxrelight.lights.local import PLACE, Incident, Light, Place, Punctual, from_point, place, power, vector
+from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
-from jaxrelight.numerics.numbers import Numbers, Vector, float_dtype, holds
+from jaxrelight.numerics.numbers import Numbers, Vector, float_dtype, holds, module_of
+
+
+# From and up to which area, over the square of their distance, pieces become more than points.
+_POINT, _LARGE = 2.0**-6, 2.0**-4
 
 
 class Patch(Punctual):
-    """A small flat piece of a surface that emits the same radiance in all directions in front of it.
+    """A flat piece of a surface that emits the same radiance in all directions in front of it.
+
+    Its light comes from the mean direction of all of it, weighed by radiance, and is all that it has for a surface that
+    has the whole piece in front of it.
 
     Attributes:
         centre: of the surface.
-        offset: of the piece's centre from that.
-        normal: of unit length.
-        intensity: radiance times area, along the normal.
+        corners: of the piece, from that, counter-clockwise as seen from its front.
+        radiance: in all directions.
     """
 
     centre: Place = eqx.field(metadata=PLACE)
-    offset: Float[Array, "3"]
-    normal: Float[Array, "3"]
-    intensity: Float[Array, "3"]
+    corners: Float[Array, "4 3"]
+    radiance: Float[Array, "3"]
 
     @jax.jit
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
-        """Falls off with the square of the distance and the cosine of the angle from the normal."""
-        incident = from_point(self.centre + self.offset, self.intensity, positions)
-        cosine = jnp.maximum(jnp.matmul(-incident.omega_i, self.normal, precision="highest"), 0)
-        return incident._replace(irradiance=incident.irradiance * cosine[:, None], within=cosine > 0)
+        """Nearby it is Lambert's ½ Σ θ Γ over the edges, far away area times cosine over the square of the distance."""
+        across = jnp.cross(self.corners[1] - self.corners[0], self.corners[3] - self.corners[0])
+        normal, area = safe.normalize(across), safe.norm(across)
+        from_centre = jnp.asarray(self.centre)[None] - positions
+        far = from_point(jnp.mean(self.corners, axis=0), 1.0, -from_centre)
+        height = -jnp.matmul(from_centre + self.corners[:1], normal, precision="highest")
+        cosine = -jnp.matmul(far.omega_i, normal, precision="highest")
+        t = jnp.clip((area * far.irradiance[:, 0] - _POINT) / (_LARGE - _POINT), 0, 1)
+        near = jnp.where(height > 0, t * t * (3 - 2 * t), 0)
+        as_point = far.omega_i, far.distance, area * far.irradiance[:, 0] * cosine, cosine
+
+        def as_surface():
+            whole = _vector_irradiance(from_centre, self.corners)
+            whole = near[:, None] * whole + ((1 - near) * as_point[2])[:, None] * far.omega_i
+            omega_i = jnp.where(near[:, None] > 0, safe.normalize(whole), far.omega_i)
+            cosine = -jnp.matmul(omega_i, normal, precision="highest")
+            distance = jnp.where(near > 0, height / jnp.where(cosine > 1e-6, cosine, 1), far.distance)
+            return omega_i, distance, jnp.where(near > 0, safe.norm(whole), as_point[2]), cosine
+
+        omega_i, distance, share, cosine = jax.lax.cond(jnp.any(near > 0), as_surface, lambda: as_point)
+        within = (height > 0) & (cosine > 0)
+        irradiance = jnp.where(within, share, 0)[:, None] * self.radiance[None]
+        return Incident(omega_i, distance, irradiance, within)
+
+
+def _vector_irradiance(from_centre: Float[Array, "p 3"], corners: Float[Array, "4 3"]) -> Float[Array, "p 3"]:
+    """½ Σ θ Γ: of each edge the angle that it covers, times the unit normal of its plane with a point."""
+    # Edges that pieces share are the same numbers of both, and cancel. Components are arrays of their own, since sums
+    # over an innermost axis of three are slow.
+    towards = [_unit([from_centre[:, k] + corner[k] for k in range(3)])[0] for corner in corners]
+    total = [jnp.zeros(len(from_centre), from_centre.dtype)] * 3
+    for (a, b, c), (x, y, z) in zip(towards, towards[1:] + towards[:1], strict=True):
+        normal, sine = _unit([y * c - z * b, z * a - x * c, x * b - y * a])
+        angle = jnp.arctan2(sine, a * x + b * y + c * z)
+        total = [of + angle * component for of, component in zip(total, normal, strict=True)]
+    return jnp.stack(total, axis=1) / 2
+
+
+def _unit(vector: list[Float[Array, " p"]]) -> tuple[list[Float[Array, " p"]], Float[Array, " p"]]:
+    """Unit vectors by component, and their lengths; zero vectors stay zero, with zero gradients."""
+    square = sum(component * component for component in vector)
+    is_any = square > 0
+    length = jnp.sqrt(jnp.where(is_any, square, 1))
+    return [jnp.where(is_any, component / length, 0) for component in vector], jnp.where(is_any, length, 0)
 
 
 class Area(Light):
@@ -56,15 +102,13 @@ class Area(Light):
 
     def parts(self) -> Sequence[Patch]:
         """Patches of equal size."""
-        across = jnp.cross(self.u, self.v)
-        area = jnp.sqrt(jnp.sum(across**2))
-        # Numbers of Python, which leave the type to the arrays.
-        steps = ((np.arange(self.samples) + 0.5) / self.samples - 0.5).tolist()
-        return [
-            Patch(self.centre, a * self.u + b * self.v, across / area, self.radiance * area / self.samples**2)
-            for a in steps
-            for b in steps
-        ]
+        steps = np.arange(self.samples + 1) / self.samples - 0.5
+        # [a, b, 3]
+        u, v = (module_of(self.u, self.v).asarray(edge) for edge in (self.u, self.v))
+        points = (steps[:, None, None] * u + steps[:, None] * v).astype(u.dtype)
+        cells = [points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]]
+        corners = module_of(u).stack(cells, axis=2).reshape(-1, 4, 3)
+        return [Patch(self.centre, own, self.radiance) for own in corners]
 
 
 def area(centre: Vector, u: Vector, v: Vector, radiance: Numbers, samples: int = 4) -> Area:
@@ -82,9 +126,15 @@ def area(centre: Vector, u: Vector, v: Vector, radiance: Numbers, samples: int =
     """
     dtype = float_dtype(centre, u, v, radiance)
     edges = vector("u", u, dtype), vector("v", v, dtype)
-    if not holds(lambda u, v: np.linalg.norm(np.cross(u, v)) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v), *edges):
+    if not holds(_turns, *edges):
         raise InputError("an area light's edges u and v lie along each other, or are 0; give it a surface")
     if not (isinstance(samples, int) and 1 <= samples <= 64):
         raise InputError(f"an area light's samples along an edge must be from 1 to 64, not {samples!r}")
     middle, emitted = place("centre", centre, dtype), power("radiance", radiance, dtype)
     return Area(middle, *(as_array(each) for each in (*edges, emitted)), samples=samples)
+
+
+def _turns(u: Float[np.ndarray, "3"], v: Float[np.ndarray, "3"]) -> np.bool_:
+    """Whether edges span a surface. Squares of squares of large ones are more than single precision holds."""
+    u, v = u.astype(float), v.astype(float)
+    return np.linalg.norm(np.cross(u, v)) > 1e-6 * np.linalg.norm(u) * np.linalg.norm(v)
