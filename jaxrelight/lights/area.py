@@ -64,23 +64,19 @@ class Patch(Punctual):
 
 def _vector_irradiance(from_centre: Float[Array, "p 3"], corners: Float[Array, "4 3"]) -> Float[Array, "p 3"]:
     """½ Σ θ Γ: of each edge the angle that it covers, times the unit normal of its plane with a point."""
-    # Edges that pieces share are the same numbers of both, and cancel. Components are arrays of their own, since sums
-    # over an innermost axis of three are slow.
-    towards = [_unit([from_centre[:, k] + corner[k] for k in range(3)])[0] for corner in corners]
-    total = [jnp.zeros(len(from_centre), from_centre.dtype)] * 3
-    for (a, b, c), (x, y, z) in zip(towards, towards[1:] + towards[:1], strict=True):
-        normal, sine = _unit([y * c - z * b, z * a - x * c, x * b - y * a])
-        angle = jnp.arctan2(sine, a * x + b * y + c * z)
-        total = [of + angle * component for of, component in zip(total, normal, strict=True)]
-    return jnp.stack(total, axis=1) / 2
-
-
-def _unit(vector: list[Float[Array, " p"]]) -> tuple[list[Float[Array, " p"]], Float[Array, " p"]]:
-    """Unit vectors by component, and their lengths; zero vectors stay zero, with zero gradients."""
-    square = sum(component * component for component in vector)
-    is_any = square > 0
-    length = jnp.sqrt(jnp.where(is_any, square, 1))
-    return [jnp.where(is_any, component / length, 0) for component in vector], jnp.where(is_any, length, 0)
+    # Edges that pieces share are the same numbers of both, and cancel. Components are arrays [4, p] of their own, since
+    # sums over an innermost axis of three are slow.
+    x, y, z = from_centre.T[:, None] + corners.T[:, :, None]
+    length = jnp.sqrt(jnp.maximum(x * x + y * y + z * z, 1e-30))
+    x, y, z = jax.lax.optimization_barrier((x / length, y / length, z / length))
+    a, b, c = (jnp.roll(of, -1, axis=0) for of in (x, y, z))
+    turn = b * z - c * y, c * x - a * z, a * y - b * x
+    square, cosine = sum(of * of for of in turn), a * x + b * y + c * z
+    # An angle over its sine; of small ones it is 1.
+    is_wide = square > 1e-8
+    sine = jnp.sqrt(jnp.where(is_wide, square, 1))
+    ratio = jnp.where(is_wide, jnp.arctan2(sine, cosine) / sine, 1)
+    return jnp.stack([jnp.sum(ratio * of, axis=0) for of in turn], axis=1) / 2
 
 
 class Area(Light):
@@ -105,7 +101,7 @@ class Area(Light):
         steps = np.arange(self.samples + 1) / self.samples - 0.5
         # [a, b, 3]
         u, v = (module_of(self.u, self.v).asarray(edge) for edge in (self.u, self.v))
-        points = (steps[:, None, None] * u + steps[:, None] * v).astype(u.dtype)
+        points = (steps[:, None, None] * u[None, None] + steps[None, :, None] * v[None, None]).astype(u.dtype)
         cells = [points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]]
         corners = module_of(u).stack(cells, axis=2).reshape(-1, 4, 3)
         return [Patch(self.centre, own, self.radiance) for own in corners]

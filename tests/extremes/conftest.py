@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-# The quick suite has rows by this method, but for those that compile much; the others are slow.
-_QUICK, _DEAR = "vertices", ("lobes", "size_and_place")
-
 
 @pytest.fixture
 def holds(record_property):
@@ -21,8 +18,7 @@ def holds(record_property):
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        is_quick = _QUICK in item.name and not any(name in item.name for name in _DEAR)
-        if item.path.parent.name == "extremes" and not is_quick:
+        if item.path.parent.name == "extremes" and not item.get_closest_marker("quick"):
             item.add_marker(pytest.mark.slow)
 
 

@@ -5,6 +5,7 @@ import pathlib
 from typing import Any
 
 import numpy as np
+import pytest
 from jaxtyping import Float
 
 import jaxrelight as jr
@@ -18,8 +19,15 @@ METHODS: dict[str, jr.Transport | jr.Indirect | jr.Prefiltered | jr.Adaptive] = 
     "prefiltered": jr.Prefiltered(map_rows=64),
     "adaptive": jr.Adaptive(samples=64),
 }
+ONE = jr.environment(np.ones((16, 32, 3), np.float32))
 CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.2, 0), fov_y=45, width=24, height=16)
 PAINT = jr.phong([0.4, 0.3, 0.2], 0.3, 12.0)
+
+
+def by(*methods: str) -> pytest.MarkDecorator:
+    """Rows by each of these `METHODS`, all without any; the quick suite has those by one of them."""
+    of = [pytest.param(name, marks=pytest.mark.quick) if name == "vertices" else name for name in methods or METHODS]
+    return pytest.mark.parametrize("method", of)
 
 
 def ball(gloss: Any = PAINT, camera: jr.Camera = CAMERA) -> Scene:

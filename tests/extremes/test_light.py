@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from tests.extremes.scenes import METHODS, ball, picture_of, plain
+from tests.extremes.scenes import by, ball, picture_of, plain
 
 BLACK = jr.environment(np.zeros((2, 4, 3), np.float32))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@by()
 def test_no_light_is_black(holds, method, tmp_path):
     image = picture_of(ball(), method, BLACK, tmp_path)
     holds(f"{method}: an all-black environment", np.abs(image).max(), 0.0)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@by()
 @pytest.mark.parametrize("halves", [(2.0,), (1.0, 3.0)], ids=["1 × 1", "1 × 2"])
 def test_maps_of_a_pixel_or_two_are_what_they_say(holds, method, halves, tmp_path):
     """An open plain that faces up gets the mean of both halves: radiance is albedo times that."""
@@ -26,7 +26,7 @@ def test_maps_of_a_pixel_or_two_are_what_they_say(holds, method, halves, tmp_pat
     holds(f"{method}: a map of 1 × {len(halves)} pixels", np.abs(image / (0.5 * np.mean(halves)) - 1).max(), limit)
 
 
-@pytest.mark.parametrize("method", ["pixels", "vertices", "prefiltered", "adaptive"])
+@by("pixels", "vertices", "prefiltered", "adaptive")
 def test_a_sun_of_a_million_on_a_plain_is_its_cosine(holds, method, tmp_path):
     """E = L cosθ Δω on an open plain, and radiance is albedo E / π; the rest of the sky is 1e-3."""
     height, row, column = 256, 60, 300

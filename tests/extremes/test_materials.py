@@ -7,12 +7,9 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.brdf.lobes import phong
-from tests.extremes.scenes import METHODS, ball, picture_of, plain
+from tests.extremes.scenes import by, METHODS, ONE, ball, picture_of, plain
 
-ONE = jr.environment(np.ones((16, 32, 3), np.float32))
-
-
-@pytest.mark.parametrize("method", METHODS)
+@by()
 @pytest.mark.parametrize("albedo", [0.0, 0.99, 1.0])
 def test_a_plain_reflects_its_albedo(holds, method, albedo, tmp_path):
     image = picture_of(plain(jr.lambert(albedo)), method, ONE, tmp_path)
