@@ -23,8 +23,8 @@ PARTS = 4
 # else what points stand for is less compact, and three times as many of them have to be looked at.
 PIECES = 0.5, 1 / 16
 
-# Values so near each other, relative to the largest, are even: symmetric scenes have many of them, and which one rounding
-# leaves larger depends on where in the world a scene is.
+# Values so near each other, relative to the largest, are even: symmetric scenes have many of them, and which one
+# rounding leaves larger depends on where in the world a scene is.
 _EVEN = 2.0**-20
 
 # How much points of some positions, normals and areas are worth.

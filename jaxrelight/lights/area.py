@@ -14,7 +14,6 @@ from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Numbers, Vector, float_dtype, holds, module_of
 
-
 # From and up to which area, over the square of their distance, pieces become more than points.
 _POINT, _LARGE = 2.0**-6, 2.0**-4
 

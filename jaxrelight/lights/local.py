@@ -27,7 +27,6 @@ from jaxrelight.numerics.numbers import (
     shown,
 )
 
-
 # What is a position in the world. One that is known stays on the host in double precision until it is told from a
 # scene's centre: in single precision it would be off by 0.03 where it is 1e6 from the origin.
 PLACE = {"is_place": True}
@@ -252,9 +251,7 @@ def check_target(what: str, position: Place, target: Place) -> None:
         raise InputError(f"{what}'s target is where it stands; give it another")
 
 
-def from_point(
-    place: Place, intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]
-) -> Incident:
+def from_point(place: Place, intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]) -> Incident:
     """Light of one intensity in all directions: it falls off with the square of the distance."""
     towards = place[None] - positions
     distance = safe.norm(towards)

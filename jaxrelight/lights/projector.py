@@ -9,7 +9,17 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrelight.errors import InputError
-from jaxrelight.lights.local import Incident, Punctual, PLACE, Place, check_target, frame_towards, from_point, place, vector
+from jaxrelight.lights.local import (
+    PLACE,
+    Incident,
+    Place,
+    Punctual,
+    check_target,
+    frame_towards,
+    from_point,
+    place,
+    vector,
+)
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Number, Vector, as_numbers, float_dtype, holds, shown
 

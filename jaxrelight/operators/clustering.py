@@ -2,7 +2,7 @@
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from jaxrelight.operators.clustered import Cluster
 from jaxrelight.operators.quantised import decoded
@@ -28,7 +28,10 @@ def as_clusters(operator: SparseRows, group_rows: int, tolerance: float = 1e-3) 
 
 
 def cluster(
-    rows: Float[np.ndarray, "r c d"], spectrum: Float[np.ndarray, " d"], tolerance: float
+    rows: Float[np.ndarray, "r c d"],
+    spectrum: Float[np.ndarray, " d"],
+    tolerance: float,
+    constant: Real[np.ndarray, " d"] | None = None,
 ) -> tuple[Cluster, Float[np.ndarray, "r c"]]:
     """One group: the fewest coefficients and shared rows that leave out tolerance² of its energy under natural light.
 
@@ -36,10 +39,14 @@ def cluster(
     Σ_d σ_d² δ_d² in the mean, so that energy is counted after a product with σ: half of what may be left out are
     coefficients of least energy, the other half is left out by the singular value decomposition of the rest.
 
+    What a row reflects of constant light is kept exactly: a shared row is the constant, and the others are of what is
+    left across it. As nearly all rows reflect some, that takes hardly more shared rows than without.
+
     Args:
         rows: of the group, written out.
         spectrum: σ; see `natural_spectrum`.
         tolerance: largest root-mean-square error relative to the group's radiance. 0 keeps all.
+        constant: coefficients of constant light; by default none is kept exactly.
 
     Returns:
         The cluster, and the energy, not weighted, that it leaves out of every row.
@@ -49,17 +56,34 @@ def cluster(
     energy = np.einsum("rcd,rcd->rc", rows, rows, dtype=np.float64)
     order = np.argsort(power)
     may = tolerance**2 / 2 * power.sum()
-    support = np.sort(order[np.searchsorted(np.cumsum(power[order]), may, side="right") :])
+    kept = power > 0 if constant is None else (power > 0) & (constant == 0)
+    kept[order[: np.searchsorted(np.cumsum(power[order]), may, side="right")]] = False
+    support = np.flatnonzero(kept if constant is None else kept | ((power > 0) & (constant != 0)))
     if not len(support):
         nothing = np.zeros((0, 0), np.float32), np.zeros((c, 0, r), np.float32)
         return Cluster(support, *nothing), energy.astype(np.float32)
     inside = rows[:, :, support].reshape(r * c, -1)
     sigma = spectrum[support]
-    weights, basis = _principal_components(inside * sigma, may)
+    exact = _constant_part(inside * sigma, np.zeros(len(support)) if constant is None else constant[support] / sigma)
+    weights, basis = _principal_components(inside * sigma - exact[0] @ exact[1], may)
+    weights, basis = np.concatenate([exact[0], weights], axis=1), np.concatenate([exact[1], basis])
     basis /= sigma
     outside = energy - np.sum(np.square(inside, dtype=np.float64), axis=1).reshape(r, c)
     dropped = np.maximum(outside, 0) + np.sum(np.square(inside - weights @ basis), axis=1).reshape(r, c)
     return Cluster(support, basis, np.moveaxis(weights.reshape(r, c, -1), 0, 2)), dropped.astype(np.float32)
+
+
+def _constant_part(
+    matrix: Float[np.ndarray, "r s"], along: Float[np.ndarray, " s"]
+) -> tuple[Float[np.ndarray, "r q"], Float[np.ndarray, "q s"]]:
+    """What rows have along a vector, as a product whose sides are of about the same size; q is 1, or 0 for nothing."""
+    length = np.linalg.norm(along)
+    unit = along / (length if length > 0 else 1)
+    share = matrix.astype(np.float64) @ unit
+    root = np.sqrt(np.linalg.norm(share))
+    if not root > 0:
+        return np.zeros((len(matrix), 0), np.float32), np.zeros((0, len(along)), np.float32)
+    return (share / root)[:, None].astype(np.float32), (unit * root)[None].astype(np.float32)
 
 
 def _principal_components(

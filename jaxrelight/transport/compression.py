@@ -1,12 +1,13 @@
 """What is kept of the rows of a group, how a layer holds it, and the operator that it makes."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from jaxrelight.basis.haar import HaarFaces
+from jaxrelight.basis.haar import HaarFaces, levels
 from jaxrelight.basis.truncation import Truncated
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.errors import InputError
@@ -42,13 +43,15 @@ def compression(method: Transport) -> "Rows | Clusters":
 
 def shared(method: Transport) -> "Clusters":
     """The compression of bounced light, whatever direct light is kept as."""
-    return Clusters(method.compression_tolerance, method.bits, natural_spectrum(method.resolution))
+    constant = levels(method.resolution) == 0
+    return Clusters(method.compression_tolerance, method.bits, natural_spectrum(method.resolution), constant)
 
 
 def of_cloud(method: Indirect, spectrum: Float[np.ndarray, " d"]) -> "Rows | Clusters":
     """The compression of what is gathered from a cloud, whose light has a spectrum."""
     if method.coefficients == "shared":
-        return Clusters(method.compression_tolerance, method.bits, spectrum)
+        constant = levels(math.isqrt(len(spectrum)), 1) == 0
+        return Clusters(method.compression_tolerance, method.bits, spectrum, constant)
     return Rows(int(method.coefficients), method.bits, spectrum)
 
 
@@ -144,9 +147,15 @@ class Rows:
 
 
 class Clusters:
-    """As few shared rows over as few coefficients as leave out no more than a tolerance of light of some spectrum."""
+    """As few shared rows over as few coefficients as leave out no more than a tolerance of light of some spectrum.
 
-    def __init__(self, tolerance: float, bits: int, spectrum: Float[np.ndarray, " d"]):
+    Nothing is left out of constant light, whose coefficients are those marked.
+    """
+
+    def __init__(
+        self, tolerance: float, bits: int, spectrum: Float[np.ndarray, " d"], constant: Bool[np.ndarray, " d"]
+    ):
+        self._constant = constant
         self._tolerance = tolerance
         self._bits = bits
         self._columns = len(spectrum)
@@ -155,7 +164,7 @@ class Clusters:
     @property
     def dial(self) -> Any:
         """What a layer's key has to tell of it."""
-        return ["clusters", self._tolerance, *([] if self._bits == 32 else [self._bits])]
+        return ["clusters of constants", self._tolerance, *([] if self._bits == 32 else [self._bits])]
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """The arrays of a `Cluster`, as long as it is; the basis coefficient by coefficient."""
@@ -169,7 +178,9 @@ class Clusters:
     def compress(self, rows: Float[np.ndarray, "m k c n"], columns: Int[np.ndarray, " n"]) -> dict[str, np.ndarray]:
         """The arrays of a layer for a group's rows, which are given over some coefficients and are 0 elsewhere."""
         m, k, c, n = rows.shape
-        group_cluster, dropped = cluster(rows.reshape(m * k, c, n), self._spectrum[columns], self._tolerance)
+        group_cluster, dropped = cluster(
+            rows.reshape(m * k, c, n), self._spectrum[columns], self._tolerance, self._constant[columns]
+        )
         coded = _coded("basis", np.ascontiguousarray(group_cluster.basis.T), self._bits)
         coded |= _coded("weights", group_cluster.weights, self._bits)
         if self._bits < 32:

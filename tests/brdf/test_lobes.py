@@ -122,14 +122,6 @@ def test_any_lobe_is_its_formula_and_reciprocal(C, exponent, peak, diffuse, seed
     np.testing.assert_allclose(values, swapped, rtol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "brdf", [lambert(0.5), phong(0.2, 0.7, 100), lobe_sum(0.1, [lobe([-1.2, -0.3, 0.6], 30, peak=2)])]
-)
-def test_reciprocity_in_float32(brdf):
-    omega_i, omega_o = hemisphere(200), hemisphere(200, 1)
-    np.testing.assert_allclose(at(brdf, omega_i, omega_o), at(brdf, omega_o, omega_i), rtol=1e-6)
-
-
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_a_tight_published_lobe_reaches_its_peak(exponent):
     """C = 0.577, the peak form: 0.577ⁿ alone would underflow."""
@@ -141,23 +133,6 @@ def test_a_tight_published_lobe_reaches_its_peak(exponent):
     assert np.isfinite(values).all()
     assert values.min() >= 0
     assert values.max() <= 3 * (1 + 2e-7 * max(exponent, 5))
-
-
-@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
-def test_gradients_are_finite_at_every_exponent_and_angle(derivative):
-    """One lobe for each exponent, at the normal, at grazing angles and where the dot product is 0 or negative."""
-
-    def values(parameters, omega_i, omega_o):
-        return LobeSum(*parameters).evaluate(omega_i, omega_o)
-
-    for C in ([-0.577, -0.577, 0.577], [0.0, 0.0, 1.0], [1.3, -0.2, 0.7]):
-        brdf = lobe_sum(0.5, [lobe(C, n, peak=[1, 2, 3]) for n in EXPONENTS])
-        parameters = brdf.diffuse, brdf.C, brdf.exponent, brdf.scale
-        slopes = jax.jit(jax.vmap(derivative(values, argnums=(0, 1, 2)), in_axes=(None, 0, 0)))(
-            parameters, *PAIRS.astype(np.float32).swapaxes(0, 1)
-        )
-        for slope in map(np.asarray, jax.tree.leaves(slopes)):
-            assert np.isfinite(slope).all()
 
 
 def test_gradients_are_right(x64):

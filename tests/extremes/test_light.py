@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
-from tests.extremes.scenes import by, ball, picture_of, plain
+from tests.extremes.scenes import ball, by, picture_of, plain
 
 BLACK = jr.environment(np.zeros((2, 4, 3), np.float32))
 

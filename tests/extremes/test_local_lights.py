@@ -154,7 +154,7 @@ samples = 2
 """
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 def test_lights_of_scene_files_and_stores_far_away(holds, method, tmp_path):
     """Meshes, cameras and lights of files that are 1e6 from the origin, with lights as a store has kept them."""
     images: list[Any] = []
@@ -165,7 +165,7 @@ def test_lights_of_scene_files_and_stores_far_away(holds, method, tmp_path):
         lines = [*(f"v {x!r} {y!r} {z!r}" for x, y, z in (mesh.vertices + away).tolist())]
         lines += [f"f {a} {b} {c}" for a, b, c in mesh.faces + 1]
         (folder / "ball.obj").write_text("\n".join(lines))
-        text = re.sub(r"\{(.*?)\}", lambda match: repr(float(match[1]) + away), SCENE)
+        text = re.sub(r"\{(.*?)\}", lambda match, away=away: repr(float(match[1]) + away), SCENE)
         (folder / "scene.toml").write_text(text)
         scene, dials = jr.load_scene(folder / "scene.toml"), METHODS[method]
         relighter = jr.prepare(scene, dials, folder / "store" if dials.is_stored else None)

@@ -7,7 +7,8 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.brdf.lobes import phong
-from tests.extremes.scenes import by, METHODS, ONE, ball, picture_of, plain
+from tests.extremes.scenes import METHODS, ONE, ball, by, picture_of, plain
+
 
 @by()
 @pytest.mark.parametrize("albedo", [0.0, 0.99, 1.0])

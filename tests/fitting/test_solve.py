@@ -73,14 +73,6 @@ def test_the_residual_is_that_of_the_lobes_returned():
     np.testing.assert_allclose(fits.residual, residual_of(made(), *parameters), rtol=1e-4)
 
 
-@pytest.mark.parametrize("factor", [1e-8, 1e8])
-def test_units_do_not_matter(factor):
-    plain, scaled = fit(made().values), fit(made().values * factor)
-    np.testing.assert_allclose(scaled.brdf.exponent, plain.brdf.exponent, rtol=1e-3)
-    np.testing.assert_allclose(scaled.brdf.scale, plain.brdf.scale * factor, rtol=1e-3)
-    np.testing.assert_array_equal(scaled.verdict, plain.verdict)
-
-
 def test_an_item_without_finite_samples_is_flagged_and_touches_no_other():
     values = made().values.copy()
     values[17] = np.nan

@@ -70,7 +70,7 @@ class Column(Punctual):
 
 def lamps_at(place: np.ndarray) -> list[Light]:
     """A lamp of every kind that has a position, there."""
-    aim = place + [1, 0.5, 0]
+    aim = np.add(place, [1, 0.5, 0])
     return [
         point(place, 1),
         spot(place, aim, 1, 60),

@@ -255,18 +255,6 @@ def test_is_its_matrix(name):
 
 
 @pytest.mark.parametrize("name", cases(CASES))
-def test_is_linear_and_has_its_adjoint(name):
-    operator, _ = case(name)
-    r, d, _ = operator.shape
-    x1, x2, y = random(d, 3), random(d, 3, seed=1), random(r, 3, seed=2)
-    answers = [ask(both, operator, x, y) for x in (x1, x2, np.float32(2) * x1 - np.float32(0.5) * x2)]
-    one, two, three = (forth.astype(float) for forth, _ in answers)
-    assert relative(three, 2.0 * one - 0.5 * two) < 1e-6
-    back = answers[0][1].astype(float)
-    assert abs(float(np.vdot(one, y)) - float(np.vdot(x1, back))) < 1e-6 * np.linalg.norm(one) * np.linalg.norm(y)
-
-
-@pytest.mark.parametrize("name", cases(CASES))
 def test_rows_are_rows_of_the_matrix(name):
     operator, matrix = case(name)
     chosen = np.array([len(matrix) - 1, 0, 2, 2, len(matrix) // 2], np.int32)

@@ -7,10 +7,8 @@ import json
 import os
 import pathlib
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from typing import Any
 
 import equinox as eqx
@@ -77,7 +75,7 @@ def copy(made, tmp_path) -> pathlib.Path:
     return tmp_path / "copy"
 
 
-def _files(folder: pathlib.Path) -> dict[str, str]:
+def files_of(folder: pathlib.Path) -> dict[str, str]:
     """Every file's hash."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
@@ -102,10 +100,10 @@ def _relative(actual, wanted) -> float:
 
 
 def test_second_run_traces_nothing_and_changes_no_file(scene, copy):
-    before = _files(copy)
+    before = files_of(copy)
     summary = precompute(scene, METHOD, copy)
     assert summary.rays == 0
-    assert _files(copy) == before
+    assert files_of(copy) == before
 
 
 def test_summary_tells_what_was_done(scene, tmp_path):
@@ -132,22 +130,22 @@ def test_summary_tells_what_was_done(scene, tmp_path):
 
 
 def test_changed_material_bakes_only_its_own(scene, copy, tmp_path):
-    before, old = _files(copy), _layers(copy)
+    before, old = files_of(copy), _layers(copy)
     darker = jr.phong([0.1, 0.1, 0.1], [0.4, 0.4, 0.4], 7.0)
     changed = dataclasses.replace(scene, materials={**scene.materials, "lacquer": darker})
     summary = precompute(changed, METHOD, copy)
     assert summary.rays == 0
-    after = _files(copy)
+    after = files_of(copy)
     assert all(after[name] == before[name] for name in before if name != "store.json")
     new = _layers(copy) - old
     assert sorted(name.partition("-")[0] for name in new) == ["factors", "transport"]
     # What was made is what a fresh store gets.
     fresh = tmp_path / "fresh"
     precompute(changed, METHOD, fresh)
-    assert _files(fresh).items() <= after.items()
+    assert files_of(fresh).items() <= after.items()
     # And back: everything is there.
     precompute(scene, METHOD, copy)
-    assert _files(copy) == {**after, "store.json": before["store.json"]}
+    assert files_of(copy) == {**after, "store.json": before["store.json"]}
 
 
 def test_changed_material_under_pixels_bakes_only_its_own(scene, made_pixels, tmp_path):
@@ -212,11 +210,11 @@ def test_changed_dials_use_other_layers(tmp_path, monkeypatch, change: dict, tra
     method = dataclasses.replace(METHOD, coefficients=8)
     precompute(scene, method, tmp_path)
     old = _layers(tmp_path)
-    before = _files(tmp_path)
+    before = files_of(tmp_path)
     summary = precompute(scene, dataclasses.replace(method, **change), tmp_path)
     assert (summary.rays > 0) == traced
     assert {name.partition("-")[0] for name in _layers(tmp_path) - old} == new
-    after = _files(tmp_path)
+    after = files_of(tmp_path)
     assert all(after[name] == before[name] for name in before if name != "store.json")
     changed = dataclasses.replace(method, **change)
     assert store.read_header(tmp_path)["method"] == {"name": "transport", "dials": dataclasses.asdict(changed)}
@@ -262,7 +260,7 @@ def test_local_lights_are_not_part_of_the_keys(scene, copy):
 
 def test_equal_runs_make_equal_files(scene, made, tmp_path):
     precompute(scene, METHOD, tmp_path / "again")
-    assert _files(tmp_path / "again") == _files(made)
+    assert files_of(tmp_path / "again") == files_of(made)
 
 
 # What cannot be done is told.
@@ -299,7 +297,7 @@ def test_missing_layer_is_refused_and_made_again(scene, made, copy, kind: str):
         load(copy)
     summary = precompute(scene, METHOD, copy)
     assert (summary.rays > 0) == (kind == "visibility")
-    assert _files(copy) == _files(made)
+    assert files_of(copy) == files_of(made)
 
 
 def _read_all(folder: pathlib.Path):
@@ -334,7 +332,7 @@ def test_flipped_bit_is_found_and_mended(scene, made, copy, name: str):
     groups = store.open_layer(next(copy.glob("visibility-*"))).groups
     assert (0 < summary.rays < 2 * 128 * 6 * 8**2) == (name == "group")
     assert groups > 2
-    assert _files(copy) == _files(made)
+    assert files_of(copy) == files_of(made)
 
 
 def test_nothing_is_written_to_open_a_store(made):
@@ -380,11 +378,11 @@ def test_disk_that_fills_up_is_told_and_gone_on_from(scene, made, tmp_path):
     )  # fmt: skip
     assert done.stderr == ""
     assert "File too large; what is finished is kept, make room and run again" in done.stdout.splitlines()[-1]
-    kept = _files(tmp_path / "store")
+    kept = files_of(tmp_path / "store")
     assert kept
-    assert kept.items() <= _files(made).items()
+    assert kept.items() <= files_of(made).items()
     precompute(scene, METHOD, tmp_path / "store")
-    assert _files(tmp_path / "store") == _files(made)
+    assert files_of(tmp_path / "store") == files_of(made)
 
 
 def test_two_processes_at_once_share_the_work(made, tmp_path):
@@ -403,7 +401,7 @@ def test_two_processes_at_once_share_the_work(made, tmp_path):
         out, err = process.communicate()
         assert (process.returncode, err) == (0, "")
         assert out.splitlines()[-1].startswith("rays ")
-    assert _files(tmp_path / "store") == _files(made)
+    assert files_of(tmp_path / "store") == files_of(made)
 
 
 def test_other_scene_in_the_same_store_meanwhile(scene, copy):
@@ -454,7 +452,7 @@ def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
     assert len(done) == 4
     whole = precompute(scene, METHOD, tmp_path / "whole").rays
     assert precompute(scene, METHOD, tmp_path / "store").rays == whole - sum(traced)
-    assert _files(tmp_path / "store") == _files(made)
+    assert files_of(tmp_path / "store") == files_of(made)
 
 
 CHILD = """
@@ -468,46 +466,6 @@ def report(*progress):
 precompute(demo_scene(detail=0.1, size=24), method, pathlib.Path(sys.argv[1]), report)
 print("end", flush=True)
 """
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("moments", [20], ids=lambda moments: f"{moments} times")
-def test_killed_at_random_moments_and_resumed(scene, made, tmp_path, moments: int):
-    """A store is killed again and again, a few reports after its start and a moment later, until it is whole.
-
-    Then it is what an undisturbed run makes, and the next one is begun.
-    """
-    generator, reached, number = np.random.default_rng(5), set(), 0
-
-    def finished(folder):
-        # What was being written when a process was killed is swept later.
-        return {name: file for name, file in _files(folder).items() if "/." not in name}
-
-    for _ in range(moments):
-        folder = tmp_path / str(number)
-        child = subprocess.Popen(
-            [sys.executable, "-c", CHILD, str(folder)],
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=pathlib.Path(jr.__file__).parents[1],
-        )
-        assert child.stdout is not None
-        with child.stdout:
-            for _ in range(int(generator.integers(1, 8))):
-                reached.add(line := child.stdout.readline().rstrip("0123456789 \n"))
-                if line == "end":
-                    number += 1
-                    break
-            time.sleep(generator.uniform(0, 0.005))
-            child.send_signal(signal.SIGKILL)
-            child.stdout.read()
-        assert child.wait() in (-signal.SIGKILL, 0)
-        assert finished(folder).items() <= _files(made).items()
-        if line == "end":
-            assert finished(folder) == _files(made)
-    assert reached >= {"visibility"} if moments < 20 else {"visibility", "transport of stone", "end"}
-    precompute(scene, METHOD, folder)
-    assert finished(folder) == _files(made)
 
 
 # What is left out is bounded, and what is kept is right.
