@@ -136,7 +136,7 @@ class Spot(Punctual):
     def at(self, positions: Float[Array, "p 3"]) -> Incident:
         """Falls off with the square of the distance and towards the cone's edge."""
         incident = from_point(self.position, self.intensity, positions)
-        axis = safe.normalize(self.target - self.position)
+        axis = safe.normalize(jnp.subtract(self.target, self.position))
         along = -jnp.matmul(incident.omega_i, axis, precision="highest")
         # At the light itself there is no direction.
         along, across = (
@@ -253,7 +253,7 @@ def check_target(what: str, position: Place, target: Place) -> None:
 
 def from_point(place: Place, intensity: Float[Array, "3"] | float, positions: Float[Array, "p 3"]) -> Incident:
     """Light of one intensity in all directions: it falls off with the square of the distance."""
-    towards = place[None] - positions
+    towards = jnp.subtract(place[None], positions)
     distance = safe.norm(towards)
     # At the light itself the square would be infinite.
     square = jnp.maximum(distance, 1e-6) ** 2
@@ -264,7 +264,7 @@ def from_point(place: Place, intensity: Float[Array, "3"] | float, positions: Fl
 
 def frame_towards(place: Place, target: Place, up: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Rows right, up and forward of what looks from a place to a target, as a camera does."""
-    forward = safe.normalize(target - place)
+    forward = safe.normalize(jnp.subtract(target, place))
     right = safe.normalize(jnp.cross(forward, up))
     return jnp.stack([right, jnp.cross(right, forward), forward])
 

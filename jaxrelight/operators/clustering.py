@@ -2,7 +2,7 @@
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float, Real
+from jaxtyping import Bool, Float
 
 from jaxrelight.operators.clustered import Cluster
 from jaxrelight.operators.quantised import decoded
@@ -31,7 +31,7 @@ def cluster(
     rows: Float[np.ndarray, "r c d"],
     spectrum: Float[np.ndarray, " d"],
     tolerance: float,
-    constant: Real[np.ndarray, " d"] | None = None,
+    constant: Bool[np.ndarray, " d"] | None = None,
 ) -> tuple[Cluster, Float[np.ndarray, "r c"]]:
     """One group: the fewest coefficients and shared rows that leave out tolerance² of its energy under natural light.
 
@@ -46,7 +46,7 @@ def cluster(
         rows: of the group, written out.
         spectrum: σ; see `natural_spectrum`.
         tolerance: largest root-mean-square error relative to the group's radiance. 0 keeps all.
-        constant: coefficients of constant light; by default none is kept exactly.
+        constant: which coefficients constant light has, all of them alike; by default none is kept exactly.
 
     Returns:
         The cluster, and the energy, not weighted, that it leaves out of every row.
@@ -56,15 +56,16 @@ def cluster(
     energy = np.einsum("rcd,rcd->rc", rows, rows, dtype=np.float64)
     order = np.argsort(power)
     may = tolerance**2 / 2 * power.sum()
-    kept = power > 0 if constant is None else (power > 0) & (constant == 0)
-    kept[order[: np.searchsorted(np.cumsum(power[order]), may, side="right")]] = False
-    support = np.flatnonzero(kept if constant is None else kept | ((power > 0) & (constant != 0)))
+    constant = np.zeros(len(spectrum), bool) if constant is None else constant
+    kept = (power > 0) & constant
+    kept[order[np.searchsorted(np.cumsum(power[order]), may, side="right") :]] = True
+    support = np.flatnonzero(kept)
     if not len(support):
         nothing = np.zeros((0, 0), np.float32), np.zeros((c, 0, r), np.float32)
         return Cluster(support, *nothing), energy.astype(np.float32)
     inside = rows[:, :, support].reshape(r * c, -1)
     sigma = spectrum[support]
-    exact = _constant_part(inside * sigma, np.zeros(len(support)) if constant is None else constant[support] / sigma)
+    exact = _constant_part(inside * sigma, constant[support] / sigma)
     weights, basis = _principal_components(inside * sigma - exact[0] @ exact[1], may)
     weights, basis = np.concatenate([exact[0], weights], axis=1), np.concatenate([exact[1], basis])
     basis /= sigma

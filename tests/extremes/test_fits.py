@@ -1,6 +1,7 @@
 """Fits at the extremes: thousands of lobes, bad texels among them, data in any unit, optima at bounds and beyond."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -28,6 +29,25 @@ def test_bad_texels_are_flagged_and_leave_others_unchanged(holds):
         assert fits.verdict[17] == verdict
         one, other = (np.array(bits(of, others)) for of in (fits, fit(made().values)))
         holds(f"one texel that is {name}: arrays that it changes", np.sum(one != other), 0)
+
+
+def test_bad_texels_leave_the_gradients_of_others_unchanged(holds):
+    """In single precision, with all starts."""
+    values = made().values.copy()
+    values[3], values[4], values[5] = np.nan, 0, 0.3
+    omega_i, omega_o = (np.asarray(array, np.float32) for array in (made().omega_i, made().omega_o))
+
+    @jax.jit
+    @jax.grad
+    def gradient(values):
+        brdf = fit_lobes(omega_i, omega_o, values).brdf
+        return jnp.sum(jnp.log(brdf.exponent)) + jnp.sum(brdf.diffuse) + jnp.sum(brdf.scale)
+
+    broken, whole = (np.asarray(gradient(np.asarray(given, np.float32))) for given in (values, made().values))
+    assert np.isfinite(broken).all()
+    others = np.setdiff1d(np.arange(ITEMS), [3, 4, 5])
+    holds("texels that are NaN, black and constant: others' slopes", np.abs(broken - whole)[others].max(), 0)
+    assert np.abs(whole).max() > 0
 
 
 @pytest.mark.parametrize("factor", [1e-8, 1e8])

@@ -103,16 +103,17 @@ def test_a_lamp_in_a_two_sided_ball_lights_it_from_inside(holds, method, tmp_pat
 @by()
 @pytest.mark.parametrize("shape", [(1, 1), (2, 500)], ids=str)
 def test_pictures_of_any_shape(holds, method, shape, tmp_path):
-    _open_plain(holds, method, *shape, 0.2, tmp_path)
+    _open_plain(holds, method, shape, 0.2, tmp_path)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("shape", [(10, 4000), (4000, 10)], ids=str)
 def test_pictures_of_thousands_of_pixels_by_ten(holds, method, shape, tmp_path):
-    _open_plain(holds, method, *shape, 0.05 if shape[0] == 10 else 20.0, tmp_path)
+    _open_plain(holds, method, shape, 0.05 if shape[0] == 10 else 20.0, tmp_path)
 
 
-def _open_plain(holds, method: str, height: int, width: int, fov_y: float, folder):
+def _open_plain(holds, method: str, shape: tuple[int, int], fov_y: float, folder):
+    height, width = shape
     image = picture_of(plain(), method, ONE, folder, height=height, width=width, fov_y=fov_y)
     assert image.shape == (height, width, 3)
     assert image.all()
