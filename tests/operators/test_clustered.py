@@ -61,6 +61,21 @@ def test_a_cluster_leaves_out_what_may_be_left_out():
     np.testing.assert_allclose(dropped, np.sum(whole**2, axis=-1), rtol=1e-5)
 
 
+def test_what_rows_reflect_of_constant_light_is_kept_exactly():
+    """With a shared row more than without, at most; the rest is as near as is asked for."""
+    rows = np.random.default_rng(0).normal(size=(6, 2, D)) * np.linspace(3, 0.1, D)
+    spectrum, constant = np.linspace(1, 2, D), np.arange(D) % (D // 6) == D // 6 - 1
+    (support, basis, weights), _ = cluster(rows, spectrum, 0.3, constant)
+    whole = np.zeros_like(rows)
+    whole[:, :, support] = np.einsum("cqr,qs->rcs", weights, basis)
+    np.testing.assert_allclose(whole @ constant, rows @ constant, rtol=1e-5, atol=1e-5)
+    power = np.sum((rows * spectrum) ** 2)
+    assert np.sum(((rows - whole) * spectrum) ** 2) <= 0.3**2 * power
+    assert len(basis) <= len(cluster(rows, spectrum, 0.3)[0].basis) + 1
+    black, _ = cluster(0 * rows, spectrum, 0.3, constant)
+    assert not len(black.support)
+
+
 def test_clusters_are_as_small_as_what_they_hold():
     matrix = np.zeros((4, 6, 1, D))
     rng = np.random.default_rng(1)
