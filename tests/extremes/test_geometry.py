@@ -83,14 +83,14 @@ def test_tiny_triangles_are_a_surface_as_any(holds, method, scene, tmp_path):
 INSIDE = jr.Camera((0.1, 0.05, 0.0), (1, 0.2, 0.3), fov_y=60, width=24, height=16)
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 def test_from_inside_of_a_one_sided_ball_all_is_black(holds, method, tmp_path):
     scene = Scene([Part(jr.sphere(1.0, 8), "paper")], {"paper": jr.lambert(0.5)}, INSIDE)
     image = picture_of(scene, method, [ONE, jr.point([0, 0, 0], 1.0)], tmp_path)
     holds(f"{method}: from inside of a one-sided ball", np.abs(image).max(), 0.0)
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 def test_a_lamp_in_a_two_sided_ball_lights_it_from_inside(holds, method, tmp_path):
     """L = ρ I/πr², and that times ρ for a bounce; nothing of the sky comes in."""
     shell = dataclasses.replace(jr.sphere(1.0, 24), two_sided=True)

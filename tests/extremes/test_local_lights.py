@@ -11,7 +11,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import InputError
 from jaxrelight.images import image_error
-from tests.extremes.scenes import METHODS, ball, by, picture_of, plain
+from tests.extremes.scenes import METHODS, ball, picture_of, plain
 
 # Straight above the plain, of which a camera beside it sees a square of 0.35 around the origin.
 ABOVE, DOWN = (0.0, 2.0, 0.0), (0.0, 0.0, 0.0)
@@ -41,7 +41,7 @@ def test_an_area_light_of_no_size_is_refused():
         jr.area(ABOVE, [0, 0, 0], [0, 0, 1e-10], 1.0)
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 def test_a_tiny_area_light_is_a_point_with_a_cosine(holds, method, tmp_path):
     """Of its power: radiance times area is 1 along its normal."""
     tiny = jr.area(ABOVE, [1e-10, 0, 0], [0, 0, 1e-10], 1e20)
@@ -51,7 +51,7 @@ def test_a_tiny_area_light_is_a_point_with_a_cosine(holds, method, tmp_path):
     holds(f"{method}: an area light of 1e-10", np.abs(image / wanted - 1).max(), limit_of(method))
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 def test_a_huge_area_light_is_a_half_space(holds, method, tmp_path):
     """E = π L everywhere below."""
     huge = jr.area(ABOVE, [1e10, 0, 0], [0, 0, 1e10], 1.0)
@@ -70,14 +70,14 @@ def lit_within(holds, row: str, image: np.ndarray, within: np.ndarray, method: s
     holds(f"{method}: {row}", off.max(), limit_of(method))
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 def test_a_spot_without_a_penumbra(holds, method, tmp_path):
     image = picture_of(plain(), method, jr.spot(ABOVE, DOWN, 1.0, cutoff=6, beam=6), tmp_path)
     radius = np.hypot(*np.moveaxis(seen_places()[..., ::2], -1, 0))
     lit_within(holds, "a spot whose beam is its cutoff", image, radius / (2 * np.tan(np.radians(6))), method)
 
 
-@by()
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("roundness", [0.0, 1.0])
 def test_a_shaped_light_without_soft_edges(holds, method, roundness, tmp_path):
     """At roundness 0 a rectangle, at 1 an ellipse."""
