@@ -98,13 +98,33 @@ class Hierarchy(eqx.Module):
         """The image with what lies between shaded pixels; linear in them, and differentiable."""
         return _interpolate(self.shaded, self.weights, image)
 
-    def propagate_variance(self, variance: Float[Array, "h w"]) -> Float[Array, "h w"]:
-        """About the variance that the variances of shaded pixels leave in each pixel."""
-        return _propagate_variance(self.shaded, self.weights, variance)
+    def propagate_variance(self, variance: Float[Array, "h w"], alike: ArrayLike = 0.0) -> Float[Array, "h w"]:
+        """About the variance that the variances of shaded pixels leave in each pixel.
 
-    def influence(self) -> Float[Array, "h w"]:
-        """The factor on each shaded pixel's variance in the sum of all pixels'."""
-        return _influence(self.shaded, self.weights, self.asked)
+        Args:
+            variance: of shaded pixels.
+            alike: the share of it that neighbours have in common, so that no mean over them makes it smaller.
+        """
+        return _propagate_variance(self.shaded, self.weights, variance, alike)
+
+    def influence(self, alike: ArrayLike = 0.0) -> Float[Array, "h w"]:
+        """The factor on each shaded pixel's variance in the sum of all pixels'; see `propagate_variance`."""
+        return _influence(self.shaded, self.weights, self.asked, alike)
+
+    def sources(self, pixels: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+        """The shaded pixels that some pixels are, or lie between. On the host."""
+        (h, w), weights = pixels.shape, np.asarray(self.weights)
+        shaded, levels, needed = np.asarray(self.shaded), np.asarray(_levels(pixels.shape)), pixels.copy()
+        sizes = [math.prod(_new_shape(pixels.shape, level)) for level in _COARSE_TO_FINE]
+        for level in reversed(_COARSE_TO_FINE):
+            row, column = np.nonzero(needed & ~shaded & (levels == level + 1))
+            kind = 2 * (row >> level & 1) + (column >> level & 1) - 1
+            line = _new_shape(pixels.shape, level)[1]
+            place = sum(sizes[: LEVELS - 1 - level]) + (row >> level + 1) * line + (column >> level + 1)
+            parents = np.stack([row, column], axis=-1) + _PARENTS[:, kind] * 2**level
+            inside = ((parents >= 0) & (parents < (h, w))).all(axis=-1) & (weights[:, kind, place] != 0)
+            needed[tuple(parents[inside].T)] = True
+        return needed & shaded
 
     def levels(self) -> Int[np.ndarray, "h w"]:
         """The level whose pixels are each one's parents, and 0 of shaded pixels."""
@@ -363,11 +383,11 @@ def _passed(shaded, weights, image, joined):
 
 
 @jax.jit
-def _propagate_variance(shaded, weights, variance):
+def _propagate_variance(shaded, weights, variance, alike):
     """Noise of shaded parents is independent; that of parents which lie between the same pixels is alike."""
     weight_powers = jnp.stack([weights**2, jnp.abs(weights)], axis=1)
     own = jnp.where(shaded, variance, 0)
-    image = jnp.stack([own, jnp.zeros_like(own)], axis=-1)
+    image = jnp.stack([(1 - alike) * own, alike * own], axis=-1)
     variances = _passed(
         shaded, weight_powers, image, lambda _, between: jnp.stack([jnp.zeros_like(between[0]), sum(between)])
     )
@@ -375,7 +395,9 @@ def _propagate_variance(shaded, weights, variance):
 
 
 @jax.jit
-def _influence(shaded, weights, asked):
+def _influence(shaded, weights, asked, alike):
     variances = asked.astype(weights.dtype)
-    _, back = jax.vjp(lambda variance: _propagate_variance(shaded, weights, variance), jnp.zeros_like(variances))
+    _, back = jax.vjp(
+        lambda variance: _propagate_variance(shaded, weights, variance, alike), jnp.zeros_like(variances)
+    )
     return back(variances)[0]

@@ -5,6 +5,7 @@ depend on it. The best tolerance is found by trying.
 """
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.lighting.adaptive.estimate import RUN
 from jaxrelight.lighting.adaptive.hierarchy import Hierarchy
@@ -24,11 +25,13 @@ _TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
 _FIRST = 8
 # A tolerance is met up to rounding; the cost of what misses it, in samples.
 _MET, _MISSED = 1.01, 1e18
-# How often samples are added where runs of them leave more noise than was reckoned.
-_MORE_SAMPLES = 6
-# The share of the predicted error that is measured, in root mean square: 0.03 for bumpy meshes, 0.1 for smooth ones
-# under edges.
-_OF_PREDICTED = 0.07
+# The most runs of samples of a pixel.
+_RUNS = MAX_POINTS // RUN
+# The share of the predicted error that is measured, in root mean square, before a pilot says more of it: 0.03 for bumpy
+# meshes, 0.1 for smooth ones under edges.
+OF_PREDICTED = 0.07
+# What is planned for, of the tolerance: what a few pixels measure is up to a fifth off for all of them.
+AIM = 0.9
 
 
 class LayerPlan(eqx.Module):
@@ -42,6 +45,8 @@ class LayerPlan(eqx.Module):
         bandwidth: that is predicted in the image, in cycles per pixel.
         deviation: in displayed values; error² of n samples is deviation² / n^power.
         power: even numbers and filtered light do better than 1 / n.
+        share: of the error that the hierarchy predicts, how much there is.
+        alike: the share of noise² that neighbours have in common, as filtered look-ups blur all of them alike.
     """
 
     hierarchy: Hierarchy
@@ -49,11 +54,18 @@ class LayerPlan(eqx.Module):
     bandwidth: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
     power: Float[Array, ""]
+    share: Float[Array, ""]
+    alike: Float[Array, "h w"]
 
     @property
     def error(self) -> Float[Array, "h w"]:
         """The error that is predicted of each pixel, in displayed values."""
-        return _error(self.hierarchy, self.counts, self.deviation, self.power)
+        return _error(self)
+
+    @property
+    def noise(self) -> Float[Array, "h w"]:
+        """Its square alone, of samples."""
+        return _noise(self)
 
 
 class Plan(eqx.Module):
@@ -114,13 +126,20 @@ class Plan(eqx.Module):
 
 
 class LayerEstimate(NamedTuple):
-    """How one layer's pixels hang together, and how much of an error is seen; see `LayerPlan` for the others."""
+    """How one layer's pixels hang together, and how noisy they are; see `LayerPlan`."""
 
     number: int
     hierarchy: Hierarchy
-    visible: Float[Array, "h w"]
     deviation: Float[Array, "h w"]
     bandwidth: Float[Array, "h w"]
+    alike: Float[Array, "h w"]
+    share: float = OF_PREDICTED
+
+
+# What a hierarchy within a tolerance is and brings, by the numbers of the layer and of the tolerance.
+KnownHierarchies = dict[
+    tuple[int, int], tuple[Hierarchy, Bool[np.ndarray, "h w"], Float[np.ndarray, " s"], float, int]
+]
 
 
 def make_plan(
@@ -132,6 +151,7 @@ def make_plan(
     samples: float | None,
     tolerance: float | None,
     shadows: bool,
+    known: KnownHierarchies | None = None,
 ) -> Plan:
     """The plan of a budget or of a quality.
 
@@ -144,65 +164,54 @@ def make_plan(
         samples: a mean over the picture's, or None for a
         tolerance: root-mean-square error of displayed values.
         shadows: whether surfaces hide the environment.
+        known: what earlier plans of the same hierarchies tried; filled.
     """
+    known = {} if known is None else known
+    shown = pixels / factor**2
+    budget = None if samples is None else samples * shown
+    aim = None if samples is not None or tolerance is None else AIM * tolerance
     tried: dict[int, _Candidate] = {}
 
     def cost(step: int) -> float:
-        """The error of a budget, or the budget of an error."""
+        """The error of a budget, or the samples of an error."""
         if step not in tried:
-            layers = [_candidate(estimate, _TOLERANCES[step], power) for estimate in estimates]
-            tried[step] = _Candidate(
-                layers,
-                sum(layer.error for layer in layers) / pixels,
-                sum(layer.spread for layer in layers),
-                sum(layer.shaded for layer in layers) * RUN,
-                samples and samples * pixels / factor**2,
-                tolerance,
-                pixels,
-                pixels / factor**2,
-                power,
-            )
+            layers = [_candidate(estimate, step, factor, pixels, power, known) for estimate in estimates]
+            tried[step] = _Candidate(layers, power, budget, aim)
         return tried[step].cost
 
-    step = _FIRST
+    step = min(_FIRST, len(_TOLERANCES) - 1)
     for way in (-1, 1):
         while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
             step += way
+    cost(step)
     best = tried[step]
-    layers, noise = _planned(estimates, best, best.budget)
-    budget = best.budget
-    for _ in range(_MORE_SAMPLES):
-        # Samples come in runs, and a pixel has one at least: some have fewer than they should.
-        if tolerance is None or samples is not None or best.error + noise <= tolerance**2 or budget >= best.most:
-            break
-        left = max(tolerance**2 - best.error, 1e-3 * tolerance**2)
-        budget = min(budget * max((noise / left) ** (1 / power), 1.02), best.most)
-        layers, noise = _planned(estimates, best, budget)
-    between, noisy = (as_array(np.sqrt(of), np.float32) for of in (best.error, noise))
-    wanted = None if samples is not None or tolerance is None else as_array(tolerance, np.float32)
+    layers, start = [], 0
+    for estimate, own in zip(estimates, best.layers, strict=True):
+        counts = np.zeros(own.where.shape, np.int32)
+        counts[own.where] = RUN * best.runs[start : start + len(own.brought)]
+        start += len(own.brought)
+        scalars = (as_array(of, np.float32) for of in (power, estimate.share))
+        given = own.hierarchy, as_array(counts), estimate.bandwidth, estimate.deviation
+        layers.append(LayerPlan(*given, *scalars, estimate.alike))
+    between, noisy = (as_array(np.sqrt(of), np.float32) for of in (best.between, best.noise))
+    wanted = None if aim is None else as_array(tolerance, np.float32)
     return Plan(shape, tuple(layers), between, noisy, wanted, shadows)
 
 
-def _planned(estimates: Sequence[LayerEstimate], best: "_Candidate", budget: float) -> tuple[list[LayerPlan], float]:
-    """The layers of a plan with so many samples, and mean error² that they leave."""
-    counts = _counts([(layer.wanted, layer.hierarchy.shaded) for layer in best.layers], budget)
-    power = as_array(best.power, np.float32)
-    layers = [
-        LayerPlan(layer.hierarchy, as_array(own), estimate.bandwidth, estimate.deviation, power)
-        for estimate, layer, own in zip(estimates, best.layers, counts, strict=True)
-    ]
-    total = sum(float(_noise(layer.hierarchy, layer.counts, layer.deviation, power)) for layer in layers)
-    return layers, total / (best.pixels * best.apart)
-
-
 class _CandidateLayer(NamedTuple):
-    """Where to shade, and what that leaves: Σ error² between, and what samples go by, pixel by pixel and in all."""
+    """Where to shade, and what that leaves.
+
+    Attributes:
+        hierarchy: of the layer.
+        where: to shade.
+        brought: by each of those to the mean error² of the picture, by a single sample.
+        between: mean error² of what lies between.
+    """
 
     hierarchy: Hierarchy
-    wanted: Float[Array, "h w"]
-    error: float
-    spread: float
-    shaded: int
+    where: Bool[np.ndarray, "h w"]
+    brought: Float[np.ndarray, " s"]
+    between: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,105 +220,115 @@ class _Candidate:
 
     Attributes:
         layers: where to shade.
-        error: mean error² of what lies between.
-        spread: what samples go by.
-        least: the fewest samples there can be.
-        given: samples in all, or None for a
-        tolerance: of the error.
-        pixels: of the view.
-        shown: of the picture, each of one or more of those.
         power: of the number of samples, by which error² falls.
+        budget: of samples, or None for a
+        aim: the error.
     """
 
     layers: list[_CandidateLayer]
-    error: float
-    spread: float
-    least: int
-    given: float | None
-    tolerance: float | None
-    pixels: int
-    shown: float
     power: float
+    budget: float | None
+    aim: float | None
 
-    def error_of(self, budget: float) -> float:
-        """Mean error² of so many samples in the picture's pixels.
+    @functools.cached_property
+    def between(self) -> float:
+        """Mean error² of what lies between."""
+        return sum(layer.between for layer in self.layers)
 
-        Each of those is a mean over as many samples of the surface as it has, whose noise is their own where they are
-        shaded, and the same where they lie between others.
-        """
-        return self.spread ** (1 + self.power) / (self.pixels * self.apart) * max(budget, 1) ** -self.power
+    @functools.cached_property
+    def noise(self) -> float:
+        """Mean error² of samples."""
+        return self._noise(self.runs)
 
-    @property
-    def apart(self) -> float:
-        """Pixels of the view whose noise is their own, of one of the picture."""
-        return max(self.least / RUN / self.shown, 1)
+    @functools.cached_property
+    def runs(self) -> Int[np.ndarray, " s"]:
+        """Runs of samples of what is shaded, at least one for each: as many as there are, or as few as do."""
+        if not len(self._brought):
+            return np.zeros(0, int)
 
-    @property
-    def budget(self) -> float:
-        """Samples in all: those given, or what keeps the error within the tolerance, as far as samples reach."""
-        if self.given is not None:
-            return max(self.given, self.least)
-        assert self.tolerance is not None
-        left = self.tolerance**2 - self.error
-        if left <= 0:
-            return self.most
-        return min(max((self.error_of(1) / left) ** (1 / self.power), self.least), self.most)
+        def enough(runs: Int[np.ndarray, " s"]) -> bool:
+            if self.budget is not None:
+                return bool(RUN * runs.sum() > self.budget)
+            assert self.aim is not None
+            return self._noise(runs) <= self.aim**2 - self.between
 
-    @property
-    def most(self) -> float:
-        """The most samples that there can be."""
-        return self.least / RUN * MAX_POINTS
+        # In proportion to what is wanted; the logarithms of scales that leave one run for each, and the most.
+        low, high = (np.log(n / max(of, 1e-30)) for n, of in ((0.5, self._wanted.max()), (_RUNS, self._least_wanted)))
+        if self.budget is None and not enough(self._at(high)):
+            return self._at(high)
+        for _ in range(20):
+            middle = (low + high) / 2
+            low, high = (low, middle) if enough(self._at(middle)) else (middle, high)
+        return self._at(high if self.budget is None else low)
 
     @property
     def cost(self) -> float:
         """What is to be as small as possible."""
-        if self.given is None:
-            assert self.tolerance is not None
-            share = (self.error + self.error_of(self.budget)) / self.tolerance**2
+        samples, error = RUN * float(self.runs.sum()), self.between + self.noise
+        if self.budget is None:
+            assert self.aim is not None
+            share = error / self.aim**2
             # What misses the tolerance costs more than all that meet it, and the more the farther it is off.
-            return self.budget if share <= _MET**2 else _MISSED * share
+            return samples if share <= _MET**2 else _MISSED * share
         # The best of those that do not fit has the fewest samples.
-        return self.error + self.error_of(self.budget) if self.least <= self.given else 1e6 + self.least
+        least = RUN * len(self._brought)
+        return error if least <= self.budget else 1e6 + least
+
+    @functools.cached_property
+    def _brought(self) -> Float[np.ndarray, " s"]:
+        return np.concatenate([np.zeros(0), *(layer.brought for layer in self.layers)])
+
+    @functools.cached_property
+    def _wanted(self) -> Float[np.ndarray, " s"]:
+        """What samples go by: error² brought / n^power falls as fast everywhere."""
+        return self._brought ** (1 / (1 + self.power))
+
+    @property
+    def _least_wanted(self) -> float:
+        some = self._wanted[self._wanted > 0]
+        return float(some.min()) if len(some) else 1.0
+
+    def _at(self, scale: float) -> Int[np.ndarray, " s"]:
+        return np.clip(np.rint(np.exp(scale) * self._wanted), 1, _RUNS).astype(int)
+
+    def _noise(self, runs) -> float:
+        return float(np.dot(self._brought, self._falls[runs]))
+
+    @functools.cached_property
+    def _falls(self) -> Float[np.ndarray, " r"]:
+        """Error² of so many runs, over that of a single sample."""
+        return np.maximum(RUN * np.arange(_RUNS + 1.0), 1) ** -self.power
 
 
-def _candidate(estimate: LayerEstimate, tolerance: float, power: float) -> _CandidateLayer:
-    hierarchy = estimate.hierarchy.within(tolerance)
-    wanted, error, spread, shaded = _work(hierarchy, hierarchy.influence(), estimate.deviation, power)
-    return _CandidateLayer(hierarchy, wanted, float(error), float(spread), int(shaded))
-
-
-def _counts(layers, budget: float) -> list[Int[np.ndarray, "h w"]]:
-    """Runs of samples in proportion to what is wanted, at least one for each shaded pixel, up to a budget."""
-    shaded = [np.asarray(of) for _, of in layers]
-    wanted = [np.asarray(of)[where].astype(float) / RUN for (of, _), where in zip(layers, shaded, strict=True)]
-
-    def at(scale: float):
-        return [np.round(np.clip(scale * of_layer, 1, MAX_POINTS // RUN)) * RUN for of_layer in wanted]
-
-    low, high = 0.0, 2 * budget / max(sum(float(of_layer.sum()) for of_layer in wanted), 1e-30)
-    for _ in range(16):
-        middle = (low + high) / 2
-        low, high = (low, middle) if sum(layer_counts.sum() for layer_counts in at(middle)) > budget else (middle, high)
-    counts = [np.zeros(where.shape, np.int32) for where in shaded]
-    for image, where, layer_counts in zip(counts, shaded, at(low), strict=True):
-        image[where] = layer_counts
-    return counts
+def _candidate(
+    estimate: LayerEstimate, step: int, factor: int, pixels: int, power: float, known: KnownHierarchies
+) -> _CandidateLayer:
+    key = estimate.number, step
+    if key not in known:
+        within = estimate.hierarchy.within(_TOLERANCES[step])
+        left, asked = _sums(within)
+        where = np.asarray(within.shaded)
+        known[key] = within, where, np.asarray(within.influence(estimate.alike), float)[where], float(left), int(asked)
+    hierarchy, where, influence, left, asked = known[key]
+    # A pixel of the picture is a mean over as many of the view as it has: their noise is their own where they are
+    # shaded, and the same where they lie between others.
+    apart = max(len(influence) * factor**2 / max(asked, 1), 1) if factor > 1 else 1
+    brought = influence * np.asarray(estimate.deviation, float)[where] ** 2 / (apart * pixels)
+    return _CandidateLayer(hierarchy, where, brought, estimate.share**2 * left / pixels)
 
 
 @jax.jit
-def _work(hierarchy, influence, deviation, power):
-    wanted = (influence * deviation**2) ** (1 / (1 + power))
-    error = _OF_PREDICTED**2 * jnp.sum(hierarchy.left**2)
-    return wanted, error, jnp.sum(wanted), jnp.sum(hierarchy.shaded)
+def _sums(hierarchy: Hierarchy):
+    return jnp.sum(hierarchy.left**2), jnp.sum(hierarchy.asked)
 
 
 @jax.jit
-def _noise(hierarchy: Hierarchy, counts, deviation, power):
-    """Σ error² of samples, as many as there are, in what is shaded and in what lies between."""
-    return jnp.sum(hierarchy.propagate_variance(deviation**2 * jnp.maximum(counts, 1.0) ** -power))
+def _noise(layer: LayerPlan):
+    """Error² of samples, as many as there are, in what is shaded and in what lies between."""
+    noise = layer.deviation**2 * jnp.maximum(layer.counts, 1.0) ** -layer.power
+    return layer.hierarchy.propagate_variance(noise, layer.alike)
 
 
 @jax.jit
-def _error(hierarchy: Hierarchy, counts, deviation, power):
-    noise = deviation**2 * jnp.maximum(counts, 1.0) ** -power
-    return jnp.sqrt(hierarchy.propagate_variance(noise) + (_OF_PREDICTED * hierarchy.left) ** 2)
+def _error(layer: LayerPlan):
+    return jnp.sqrt(_noise(layer) + (layer.share * layer.hierarchy.left) ** 2)

@@ -19,11 +19,13 @@ from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate, estimate_listed, list_work
-from jaxrelight.lighting.adaptive.layer_estimates import calibrate, estimate_layer, looked_up
+from jaxrelight.lighting.adaptive.layer_estimates import estimate_layer, looked_up
 from jaxrelight.lighting.adaptive.many_samples import MEANS, ManySamples, TakenPixels
-from jaxrelight.lighting.adaptive.planning import Plan, make_plan
+from jaxrelight.lighting.adaptive.pilot import measure_plan
+from jaxrelight.lighting.adaptive.planning import KnownHierarchies, Plan, make_plan
 from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw, predict
 from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
+from jaxrelight.lighting.adaptive.trials import Trials, calibrate, try_noise
 from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
@@ -44,6 +46,8 @@ from jaxrelight.transport.model import SceneGeometry
 PREDICTING_SAMPLES = 8
 # Where neither samples nor a tolerance are given.
 DEFAULT_TOLERANCE = 0.01
+# How often a plan's errors are measured at a few pixels, and planned again.
+_PILOTS = 1
 
 
 class SampledComponent(eqx.Module):
@@ -351,21 +355,31 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         tolerance = DEFAULT_TOLERANCE if method.samples is None and method.tolerance is None else method.tolerance
         if report:
             report("plan", 0, 1)
-        predicted = predicted or self.predicted(lit, view)
         components = self._components(view)
-        samplers = [[part.sampler for part in part_components] for part_components in components]
-        weights, white = (
-            [[part.weight for part in part_components] for part_components in components],
-            2.0**-method.exposure,
-        )
-        count = max(map(len, components), default=0)
-        layers = [estimate_layer(view, weights, predicted, number, white) for number in range(count)]
+        samplers = [[part.sampler for part in of_part] for of_part in components]
+        weights = [[part.weight for part in of_part] for of_part in components]
         blocked = [self._blocked(view, part) for part in range(len(components))]
-        layers, power = calibrate(view, light, samplers, layers, blocked)
-        pixels = max(view.covered_count(), 1)
-        return make_plan(
-            layers, power, view.surfaces.shape, pixels, view.factor, method.samples, tolerance, method.shadows
-        )
+        trials = Trials(view, light, samplers, weights, blocked, 2.0**-method.exposure, None)
+        tried = try_noise(trials)
+        predicted = predicted or self.predicted(lit, view)
+        layers = [estimate_layer(view, weights, predicted, number, trials.white) for number in range(trials.layers)]
+        layers, power = calibrate(view, tried, layers)
+        pixels, known = max(view.covered_count(), 1), KnownHierarchies()
+
+        def plan() -> Plan:
+            shape, factor = view.surfaces.shape, view.factor
+            return make_plan(
+                layers, power, shape, pixels, factor, method.samples, tolerance, method.shadows, known
+            )
+
+        for _ in range(_PILOTS):
+            planned = plan()
+            factors = measure_plan(trials, planned, method.seed)
+            layers = [
+                of._replace(deviation=of.deviation * noise, share=of.share * factors.between)
+                for of, noise in zip(layers, factors.noise, strict=True)
+            ]
+        return plan()
 
     def shade_plan(
         self,

@@ -29,7 +29,8 @@ def fast() -> Hierarchy:
 
 def plan(samples=None, tolerance=None, deviation=None, factor=1, power=1.0, between: Hierarchy | None = None):
     of = jnp.asarray(noise() if deviation is None else deviation, jnp.float32)
-    estimate = LayerEstimate(0, between or plain(), jnp.ones((H, W)), of, jnp.zeros((H, W)))
+    none = jnp.zeros((H, W))
+    estimate = LayerEstimate(0, between or plain(), of, none, none)
     return make_plan([estimate], power, (H, W), PIXELS, factor, samples, tolerance, shadows=False)
 
 
