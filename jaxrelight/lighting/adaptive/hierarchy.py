@@ -148,6 +148,15 @@ def hierarchy(features: Features, inside: int = 0) -> Hierarchy:
     return Hierarchy(asked, error, weights, *_within(asked, error, weights, 0.0))
 
 
+def shade_all(asked: Bool[Array, "h w"]) -> Hierarchy:
+    """Of which all pixels that are asked for are shaded, whatever the tolerance."""
+    pixels = sum(math.prod(_new_shape(asked.shape, level)) for level in _COARSE_TO_FINE)
+    host = np.asarray(asked)
+    error = jax.device_put(np.where(host, np.inf, 0).astype(np.float32))
+    weights, left = (jax.device_put(np.zeros(of, np.float32)) for of in ((len(_PARENTS), 3, pixels), host.shape))
+    return Hierarchy(asked, error, weights, asked, left)
+
+
 @jax.jit
 def _errors(features: Features, parent_rows, inside):
     """How far off pixels between parents are, and the parents' weights, for the new pixels of all levels together."""

@@ -1,29 +1,32 @@
-"""The pilot of a plan: a few pixels are shaded as it says, and show how far its errors are from what it predicts.
+"""The pilot of a plan: what its errors are at a few pixels, over what it predicts.
 
-Pixels are drawn by the error that is predicted of them, and with each come all shaded pixels between which it lies.
-What lies between is compared twice by different samples: products of both differences have no noise of those in the
-mean. What stands for the truth has several times the samples of the plan, as filtered look-ups blur those of few.
+Noise is measured in shaded pixels, drawn by what they bring to the picture's, against several times the samples, as
+filtered look-ups blur those of few. What interpolation leaves is measured in pixels drawn by what is predicted of it,
+with all shaded pixels between which they lie, by the same samples in all of them: their noise is nearly alike. It is
+taken twice by different samples, and the product of both has no noise in the mean.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jaxrelight.lighting.adaptive.estimate import RUN
-from jaxrelight.lighting.adaptive.planning import Plan
+from jaxrelight.lighting.adaptive.planning import LayerPlan, Plan
 from jaxrelight.lighting.adaptive.trials import Trials
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.random_numbers import MAX_POINTS
 
-# Pixels that are compared: those whose noise is measured, and those that lie between others, with so many samples each.
-_NOISY, _BETWEEN, _ALIKE = 192, 512, 64
-# The error of those that stand for the truth, of what is predicted; and the least number of them.
-_TRUTH, _LEAST_TRUTH = 0.35, 64
-# As if so many more pixels had been as they were predicted; and factors on error² lie within these.
-_AS_PREDICTED, _FACTORS = 4, (1 / 64, 64.0)
-# That of what lies between is no smaller: a few pixels hardly meet what is rare.
-_LEAST_BETWEEN = 0.4
+# Pixels of each layer whose noise is measured, and pixels that lie between others.
+_NOISY, _BETWEEN = 192, 512
+# Samples of those that lie between others, and of those whose noise is measured, in all of the components.
+_ALIKE, _LEAST_TRUTH = (64, 512), 64
+# The error of what stands for the truth, of what is measured.
+_TRUTH = 0.35
+# Without a pilot, factors on error² would be 1, give or take so much; none are outside of these.
+_EXPECTED, _NOISE_FACTORS, _BETWEEN_FACTORS = 1.5, (0.25, 64.0), (0.16, 64.0)
+# What is rare is met by few pixels: so many standard deviations are added to what is measured of interpolation.
+_CAREFUL = 0.5
 # This share of the pixels is drawn evenly, whatever is predicted.
 _EVEN = 0.3
 # The seeds of samples that tell what lies between, and of those that stand for the truth; users' seeds are others.
@@ -50,38 +53,84 @@ def measure_plan(trials: Trials, plan: Plan, seed: int) -> Factors:
         plan: whose errors.
         seed: of its samples.
     """
-    noises = [np.asarray(layer.noise, float) for layer in plan.layers]
+    if not plan.layers:
+        return Factors([], 1.0)
+    weights = [trials.weight(number) for number in range(len(plan.layers))]
+    return Factors(_noise(trials, plan, weights, seed), _between(trials, plan, weights))
+
+
+def _noise(trials: Trials, plan: Plan, weights, seed: int) -> list[float]:
+    drawn, predicted = [], []
+    for layer in plan.layers:
+        shaded, counts = np.asarray(layer.hierarchy.shaded), np.maximum(np.asarray(layer.counts, float), 1)
+        noise = np.where(shaded, np.asarray(layer.deviation, float) ** 2 * counts ** -float(layer.power), 0)
+        brought = noise * np.asarray(layer.hierarchy.influence(layer.alike), float)
+        drawn.append(_drawn(brought, _NOISY))
+        predicted.append((noise.ravel(), brought.ravel()))
+    every = np.unique(np.concatenate([np.zeros(0, int), *(of.pixels for of in drawn)]))
+    total, apart = trials.other_light(), []
+    for number, (layer, of, weight) in enumerate(zip(plan.layers, drawn, weights, strict=True)):
+        counts, asked = np.asarray(layer.counts).ravel(), np.asarray(layer.hierarchy.asked).ravel()
+        planned, truth = np.zeros((2, len(counts)), int)
+        truth[every] = np.where(asked[every], _LEAST_TRUTH, 0)
+        more = np.minimum(counts[of.pixels] * _TRUTH ** (-2 / float(layer.power)), MAX_POINTS - RUN)
+        planned[of.pixels], truth[of.pixels] = counts[of.pixels], np.maximum(more.astype(int), _LEAST_TRUTH)
+        few, many = (
+            weight * trials.radiance(number, samples.reshape(weight.shape[:2]), seed)
+            for samples, seed in ((planned, seed), (truth, _OF_TRUTH))
+        )
+        total = total + many
+        apart.append((few - many).reshape(-1, 3)[of.pixels])
+    factors = []
+    for of, change, (noise, brought) in zip(drawn, apart, predicted, strict=True):
+        square = np.mean(trials.seen(total.reshape(-1, 3)[of.pixels], change) ** 2, axis=1)
+        # The truth's own noise is part of the difference.
+        noise, brought = noise[of.pixels] * (1 + _TRUTH**2), brought[of.pixels]
+        factors.append(_factor(square * brought / noise / of.likely, brought / of.likely, _NOISE_FACTORS))
+    return factors
+
+
+def _between(trials: Trials, plan: Plan, weights) -> float:
     left = np.sum([(float(of.share) * np.asarray(of.hierarchy.left, float)) ** 2 for of in plan.layers], axis=0)
-    noisy, between = _drawn(trials, np.sum(noises, axis=0), _NOISY), _drawn(trials, left, _BETWEEN)
-    chosen, allowed = noisy.chosen | between.chosen, _TRUTH**2 * plan.error**2 / max(len(plan.layers), 1)
-    light = trials.other_light()
-    total, total_between, own, together = noisy.of(light), between.of(light), [], np.zeros((2, *between.shape))
-    for number, layer in enumerate(plan.layers):
-        weight, asked = trials.weight(number), np.asarray(layer.hierarchy.asked)
+    drawn, chosen = _drawn(left, _BETWEEN), np.zeros(left.shape, bool)
+    if not len(drawn.pixels):
+        return 1.0
+    chosen.ravel()[drawn.pixels] = True
+    total, apart = trials.other_light().reshape(-1, 3)[drawn.pixels], np.zeros((2, len(drawn.pixels), 3))
+    for number, (layer, weight) in enumerate(zip(plan.layers, weights, strict=True)):
+        needed = layer.hierarchy.sources(chosen) | (chosen & np.asarray(layer.hierarchy.asked))
+        counts = np.where(needed, _alike(layer, plan.error), 0)
+        for k, seed in enumerate(_SEEDS):
+            image = trials.radiance(number, counts, seed, alike=True)
+            between = np.asarray(layer.hierarchy.interpolate(as_array(image)))
+            own, other = ((weight * of).reshape(-1, 3)[drawn.pixels] for of in (image, between))
+            total, apart[k] = total + own / 2, apart[k] + other - own
+    one, other = (trials.seen(total, of) for of in apart)
+    return _factor(
+        np.mean(one * other, axis=1) / drawn.likely,
+        left.ravel()[drawn.pixels] / drawn.likely,
+        _BETWEEN_FACTORS,
+        _CAREFUL,
+    )
 
-        def interpolated(counts, weight=weight, layer=layer, number=number, **given):
-            image = trials.radiance(number, counts, **given)
-            return weight * np.asarray(layer.hierarchy.interpolate(as_array(image))), weight * image
 
-        counts = np.where(layer.hierarchy.sources(noisy.chosen), layer.counts, 0)
-        planned = noisy.of(interpolated(counts, seed=seed)[0])
-        needed = (np.asarray(layer.deviation, float) ** 2 / max(allowed, 1e-20)) ** (1 / float(layer.power))
-        truth = np.where(noisy.chosen & asked, np.clip(needed, _LEAST_TRUTH, MAX_POINTS - RUN).astype(int), 0)
-        alike = np.where(layer.hierarchy.sources(chosen) | (chosen & asked), _ALIKE, 0)
-        exact, apart = noisy.of(weight * trials.radiance(number, truth, _OF_TRUTH)), []
-        for k, other in enumerate(_SEEDS):
-            lying, image = interpolated(alike, seed=other, alike=True)
-            together[k] += between.of(lying - image)
-            # Without what lies between, as far as it is known of the same pixels.
-            apart.append(planned - exact - noisy.of(lying - image))
-            total_between = total_between + between.of(image) / 2
-        total = total + exact
-        own.append(apart)
-    # The truth's own noise is part of the differences.
-    noise = [
-        noisy.factor(trials, total, pair, (1 + _TRUTH**2) * of) for pair, of in zip(own, noises, strict=True)
-    ]
-    return Factors(noise, max(between.factor(trials, total_between, together, left, careful=True), _LEAST_BETWEEN))
+def _alike(layer: LayerPlan, error: float) -> int:
+    """The samples that tell what lies between: as many in all pixels, or their noise would not be alike."""
+    shaded = np.asarray(layer.hierarchy.shaded)
+    typical = np.sqrt(np.mean(np.asarray(layer.deviation, float)[shaded] ** 2)) if shaded.any() else 0.0
+    wanted = (typical / max(error, 1e-9)) ** (2 / float(layer.power))
+    return int(np.clip(wanted, *_ALIKE)) // RUN * RUN
+
+
+def _factor(measured, predicted, limits: tuple[float, float], careful: float = 0.0) -> float:
+    """On an error, of error² that is measured and predicted of pixels: the mean, as far as it is certain."""
+    if predicted.sum() <= 0:
+        return 1.0
+    mean = measured.sum() / predicted.sum()
+    uncertain = np.sum((measured - mean * predicted) ** 2) / predicted.sum() ** 2
+    certain = _EXPECTED**2 / (_EXPECTED**2 + uncertain)
+    mean = certain * mean + (1 - certain) + careful * np.sqrt(certain * uncertain)
+    return float(np.sqrt(np.clip(mean, *limits)))
 
 
 class _Drawn(NamedTuple):
@@ -89,48 +138,14 @@ class _Drawn(NamedTuple):
 
     pixels: Int[np.ndarray, " p"]
     likely: Float[np.ndarray, " p"]
-    chosen: Bool[np.ndarray, "h w"]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Of their radiance."""
-        return len(self.pixels), 3
-
-    def of(self, image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "p 3"]:
-        """What they have of an image."""
-        return image.reshape(-1, image.shape[-1])[self.pixels]
-
-    def factor(self, trials: Trials, total, apart, predicted, *, careful: bool = False) -> float:
-        """On an error, by the differences to two truths, over error² that is predicted.
-
-        Args:
-            trials: of the pixels.
-            total: their radiance.
-            apart: both differences in it.
-            predicted: error² of all pixels.
-            careful: what is rare has hardly been met, so that a standard deviation is added.
-        """
-        one, other = (trials.seen(total, of) for of in apart)
-        square = np.mean(one * other, axis=1)
-        expected = predicted.ravel()[self.pixels] / self.likely
-        if expected.sum() <= 0:
-            return 1.0
-        square, count = square / self.likely, len(square)
-        mean = square.sum() / expected.sum()
-        if careful:
-            mean += np.sqrt(np.sum((square - mean * expected) ** 2)) / expected.sum()
-        share = _AS_PREDICTED / (count + _AS_PREDICTED)
-        return float(np.sqrt(np.clip((1 - share) * mean + share, *_FACTORS)))
 
 
-def _drawn(trials: Trials, brought: Float[np.ndarray, "h w"], count: int) -> _Drawn:
+def _drawn(brought: Float[np.ndarray, "h w"], count: int) -> _Drawn:
     """Different pixels, the more likely the more each brings."""
-    some, chosen = np.flatnonzero(brought > 0), np.zeros(trials.view.padded_shape, bool)
-    likely = np.ones(len(some))
-    if len(some) > count:
-        likely = brought.ravel()[some]
-        likely = (1 - _EVEN) * likely / likely.sum() + _EVEN / len(some)
-        drawn = np.random.default_rng(0).choice(len(some), count, replace=False, p=likely)
-        some, likely = some[drawn], likely[drawn]
-    chosen.ravel()[some] = True
-    return _Drawn(some, likely, chosen)
+    some = np.flatnonzero(brought > 0)
+    if len(some) <= count:
+        return _Drawn(some, np.ones(len(some)))
+    likely = brought.ravel()[some]
+    likely = (1 - _EVEN) * likely / likely.sum() + _EVEN / len(some)
+    drawn = np.random.default_rng(0).choice(len(some), count, replace=False, p=likely)
+    return _Drawn(some[drawn], likely[drawn])

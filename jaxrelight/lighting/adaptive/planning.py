@@ -25,6 +25,9 @@ _TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
 _FIRST = 8
 # A tolerance is met up to rounding; the cost of what misses it, in samples.
 _MET, _MISSED = 1.01, 1e18
+# So many bins of what pixels want are there to twice as much; and so often at most the number of samples that they say
+# is changed by a thirtieth.
+_BINS, _EXACT = 16, 12
 # The most runs of samples of a pixel.
 _RUNS = MAX_POINTS // RUN
 # The share of the predicted error that is measured, in root mean square, before a pilot says more of it: 0.03 for bumpy
@@ -152,6 +155,7 @@ def make_plan(
     tolerance: float | None,
     shadows: bool,
     known: KnownHierarchies | None = None,
+    even: bool = False,
 ) -> Plan:
     """The plan of a budget or of a quality.
 
@@ -165,6 +169,7 @@ def make_plan(
         tolerance: root-mean-square error of displayed values.
         shadows: whether surfaces hide the environment.
         known: what earlier plans of the same hierarchies tried; filled.
+        even: shade every pixel, rather than as few as are best.
     """
     known = {} if known is None else known
     shown = pixels / factor**2
@@ -179,8 +184,8 @@ def make_plan(
             tried[step] = _Candidate(layers, power, budget, aim)
         return tried[step].cost
 
-    step = min(_FIRST, len(_TOLERANCES) - 1)
-    for way in (-1, 1):
+    step = len(_TOLERANCES) - 1 if even else _FIRST
+    for way in () if even else (-1, 1):
         while 0 <= step + way < len(_TOLERANCES) and cost(step + way) < cost(step):
             step += way
     cost(step)
@@ -238,41 +243,58 @@ class _Candidate:
     @functools.cached_property
     def noise(self) -> float:
         """Mean error² of samples."""
-        return self._noise(self.runs)
+        return float(np.dot(self._brought, self._falls[self.runs]))
 
     @functools.cached_property
     def runs(self) -> Int[np.ndarray, " s"]:
         """Runs of samples of what is shaded, at least one for each: as many as there are, or as few as do."""
-        if not len(self._brought):
-            return np.zeros(0, int)
+        runs, scale = _runs_of(self._wanted, self._scale), self._scale
+        for _ in range(_EXACT):
+            # Pixels of a bin are not rounded alike.
+            if self.aim is not None:
+                good = np.dot(self._brought, self._falls[runs]) <= max(self.aim**2 - self.between, 0)
+            else:
+                good = RUN * runs.sum() <= max(self.budget or 0, RUN * len(runs))
+            if good or (runs == _RUNS).all():
+                break
+            scale += np.log(1.03) if self.aim is not None else -np.log(1.03)
+            runs = _runs_of(self._wanted, scale)
+        return runs
 
-        def enough(runs: Int[np.ndarray, " s"]) -> bool:
-            if self.budget is not None:
-                return bool(RUN * runs.sum() > self.budget)
-            assert self.aim is not None
-            return self._noise(runs) <= self.aim**2 - self.between
-
-        # In proportion to what is wanted; the logarithms of scales that leave one run for each, and the most.
-        low, high = (np.log(n / max(of, 1e-30)) for n, of in ((0.5, self._wanted.max()), (_RUNS, self._least_wanted)))
-        if self.budget is None and not enough(self._at(high)):
-            return self._at(high)
-        for _ in range(20):
-            middle = (low + high) / 2
-            low, high = (low, middle) if enough(self._at(middle)) else (middle, high)
-        return self._at(high if self.budget is None else low)
-
-    @property
+    @functools.cached_property
     def cost(self) -> float:
         """What is to be as small as possible."""
-        samples, error = RUN * float(self.runs.sum()), self.between + self.noise
+        runs = _runs_of(self._bins.wanted, self._scale)
+        error = self.between + self._noise(runs)
         if self.budget is None:
             assert self.aim is not None
             share = error / self.aim**2
             # What misses the tolerance costs more than all that meet it, and the more the farther it is off.
-            return samples if share <= _MET**2 else _MISSED * share
+            return RUN * float(np.dot(self._bins.count, runs)) if share <= _MET**2 else _MISSED * share
         # The best of those that do not fit has the fewest samples.
         least = RUN * len(self._brought)
         return error if least <= self.budget else 1e6 + least
+
+    @functools.cached_property
+    def _scale(self) -> float:
+        """The logarithm of runs over what is wanted."""
+        bins = self._bins
+        if not len(bins.wanted):
+            return 0.0
+
+        def enough(scale: float) -> bool:
+            runs = _runs_of(bins.wanted, scale)
+            if self.budget is not None:
+                return bool(RUN * np.dot(bins.count, runs) > self.budget)
+            assert self.aim is not None
+            return self._noise(runs) <= self.aim**2 - self.between
+
+        # From those that leave one run for each to the most.
+        low, high = -1 - np.log(bins.wanted.max()), np.log(_RUNS + 1) - np.log(bins.wanted.min())
+        for _ in range(20):
+            middle = (low + high) / 2
+            low, high = (low, middle) if enough(middle) else (middle, high)
+        return high if self.budget is None else low
 
     @functools.cached_property
     def _brought(self) -> Float[np.ndarray, " s"]:
@@ -283,21 +305,37 @@ class _Candidate:
         """What samples go by: error² brought / n^power falls as fast everywhere."""
         return self._brought ** (1 / (1 + self.power))
 
-    @property
-    def _least_wanted(self) -> float:
-        some = self._wanted[self._wanted > 0]
-        return float(some.min()) if len(some) else 1.0
+    @functools.cached_property
+    def _bins(self) -> "_Bins":
+        """Pixels that want nearly as many samples, together: each of a hundred thousand would be tried otherwise."""
+        some = self._wanted > 0
+        wanted, brought = self._wanted[some], self._brought[some]
+        number = np.rint(_BINS * np.log2(wanted)).astype(int)
+        number -= number.min(initial=0)
+        count = np.bincount(number)
+        some = count > 0
+        wanted, brought = (np.bincount(number, of)[some] for of in (wanted, brought))
+        return _Bins(count[some], wanted / count[some], brought)
 
-    def _at(self, scale: float) -> Int[np.ndarray, " s"]:
-        return np.clip(np.rint(np.exp(scale) * self._wanted), 1, _RUNS).astype(int)
-
-    def _noise(self, runs) -> float:
-        return float(np.dot(self._brought, self._falls[runs]))
+    def _noise(self, runs: Int[np.ndarray, " b"]) -> float:
+        return float(np.dot(self._bins.brought, self._falls[runs]))
 
     @functools.cached_property
     def _falls(self) -> Float[np.ndarray, " r"]:
         """Error² of so many runs, over that of a single sample."""
         return np.maximum(RUN * np.arange(_RUNS + 1.0), 1) ** -self.power
+
+
+class _Bins(NamedTuple):
+    """Shaded pixels by what they want: how many, what each wants, and error² that all of them bring."""
+
+    count: Int[np.ndarray, " b"]
+    wanted: Float[np.ndarray, " b"]
+    brought: Float[np.ndarray, " b"]
+
+
+def _runs_of(wanted: Float[np.ndarray, " s"], scale: float) -> Int[np.ndarray, " s"]:
+    return np.clip(np.rint(np.exp(scale) * wanted), 1, _RUNS).astype(int)
 
 
 def _candidate(

@@ -19,6 +19,7 @@ from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate, estimate_listed, list_work
+from jaxrelight.lighting.adaptive.even_shading import even_layers, even_samples, planning_pays
 from jaxrelight.lighting.adaptive.layer_estimates import estimate_layer, looked_up
 from jaxrelight.lighting.adaptive.many_samples import MEANS, ManySamples, TakenPixels
 from jaxrelight.lighting.adaptive.pilot import measure_plan
@@ -360,17 +361,21 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         weights = [[part.weight for part in of_part] for of_part in components]
         blocked = [self._blocked(view, part) for part in range(len(components))]
         trials = Trials(view, light, samplers, weights, blocked, 2.0**-method.exposure, None)
-        tried = try_noise(trials)
-        predicted = predicted or self.predicted(lit, view)
-        layers = [estimate_layer(view, weights, predicted, number, trials.white) for number in range(trials.layers)]
-        layers, power = calibrate(view, tried, layers)
-        pixels, known = max(view.covered_count(), 1), KnownHierarchies()
+        tried, pixels, shadows = try_noise(trials), max(view.covered_count(), 1), method.shadows
+        layers, power = even_layers(view, tried, trials.layers)
+        even = tolerance is not None and not planning_pays(
+            view, layers, even_samples(layers, power, pixels, tolerance), shadows=shadows
+        )
+        if not even:
+            predicted = predicted or self.predicted(lit, view)
+            layers = [estimate_layer(view, weights, predicted, number, trials.white) for number in range(trials.layers)]
+            layers, power = calibrate(view, tried, layers)
+        known = KnownHierarchies()
 
         def plan() -> Plan:
             shape, factor = view.surfaces.shape, view.factor
-            return make_plan(
-                layers, power, shape, pixels, factor, method.samples, tolerance, method.shadows, known
-            )
+            given = layers, power, shape, pixels, factor, method.samples, tolerance, shadows
+            return make_plan(*given, known, even)
 
         for _ in range(_PILOTS):
             planned = plan()

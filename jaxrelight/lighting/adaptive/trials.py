@@ -130,8 +130,12 @@ class NoiseTrial(NamedTuple):
         return float(np.clip(np.sum(one * other) / both, 0, 1)) if both > 0 else 0.0
 
 
-def try_noise(trials: Trials) -> dict[tuple[int, int], NoiseTrial]:
-    """How large noise is and how fast it falls, by the number of a component and the part that it belongs to."""
+# By the number of a component and that of the part that it belongs to.
+NoiseTrials = dict[tuple[int, int], NoiseTrial]
+
+
+def try_noise(trials: Trials) -> NoiseTrials:
+    """How large noise is, and how fast it falls."""
     view, chosen = trials.view, []
     for part in range(len(trials.samplers)):
         facing = np.asarray(view.surfaces.parts[part].pixels.omega_o)[:, 2] > 0
@@ -160,7 +164,7 @@ def try_noise(trials: Trials) -> dict[tuple[int, int], NoiseTrial]:
 
 
 def calibrate(
-    view: AdaptiveView, tried: dict[tuple[int, int], NoiseTrial], layers: Sequence[LayerEstimate]
+    view: AdaptiveView, tried: NoiseTrials, layers: Sequence[LayerEstimate]
 ) -> tuple[list[LayerEstimate], float]:
     """Layers with deviations that trials measured, and the power by which error² falls.
 
