@@ -35,6 +35,7 @@ PROGRAMS = (
     "light_moves",
     "adaptive",
     "adaptive_parts",
+    "adaptive_promise",
     "fit_speed",
     "fit_materials",
     "fit_measured",

@@ -406,7 +406,5 @@ def _propagate_variance(shaded, weights, variance, alike):
 @jax.jit
 def _influence(shaded, weights, asked, alike):
     variances = asked.astype(weights.dtype)
-    _, back = jax.vjp(
-        lambda variance: _propagate_variance(shaded, weights, variance, alike), jnp.zeros_like(variances)
-    )
+    _, back = jax.vjp(lambda variance: _propagate_variance(shaded, weights, variance, alike), jnp.zeros_like(variances))
     return back(variances)[0]

@@ -140,9 +140,7 @@ class LayerEstimate(NamedTuple):
 
 
 # What a hierarchy within a tolerance is and brings, by the numbers of the layer and of the tolerance.
-KnownHierarchies = dict[
-    tuple[int, int], tuple[Hierarchy, Bool[np.ndarray, "h w"], Float[np.ndarray, " s"], float, int]
-]
+KnownHierarchies = dict[tuple[int, int], tuple[Hierarchy, Bool[np.ndarray, "h w"], Float[np.ndarray, " s"], float, int]]
 
 
 def make_plan(

@@ -1,7 +1,7 @@
 """Trials: a few pixels are shaded before the picture is, and compared in displayed values.
 
-Skies, materials and shadows differ in how soon samples meet all there is, and in how straight light lies between pixels.
-No prediction knows that; what is measured of some pixels holds for the others.
+Skies, materials and shadows differ in how soon samples meet all there is, and in how straight light lies between
+pixels. No prediction knows that; what is measured of some pixels holds for the others.
 """
 
 import dataclasses
