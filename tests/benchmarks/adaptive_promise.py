@@ -18,6 +18,7 @@ from jaxrelight.images.tone import to_unit
 from jaxrelight.lighting.adaptive.planning import Plan
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.shadows import all_visible, trace_visibility
+from jaxrelight.numerics.arrays import as_array
 from tests.benchmarks.adaptive import brdf_of, prepared
 from tests.benchmarks.measuring import Report, percent, shared
 
@@ -60,7 +61,7 @@ def textured() -> Material:
     from PIL import Image
 
     colours = np.asarray(Image.open(shared("data", "mesh", "spot_texture.png")).convert("RGB"), np.float32) / 255
-    paint = Component(white_lambert(), (Texture(colours**2.2 * 0.7).minified(),))
+    paint = Component(white_lambert(), (Texture(as_array(colours**2.2 * 0.7)).minified(),))
     return Material((paint, Component(white_phong(200.0), (constant(0.2),))))
 
 

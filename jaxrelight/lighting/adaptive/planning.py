@@ -193,11 +193,11 @@ def make_plan(
         counts = np.zeros(own.where.shape, np.int32)
         counts[own.where] = RUN * best.runs[start : start + len(own.brought)]
         start += len(own.brought)
-        scalars = (as_array(of, np.float32) for of in (power, estimate.share))
         given = own.hierarchy, as_array(counts), estimate.bandwidth, estimate.deviation
-        layers.append(LayerPlan(*given, *scalars, estimate.alike))
+        numbers = as_array(power, np.float32), as_array(estimate.share, np.float32)
+        layers.append(LayerPlan(*given, *numbers, estimate.alike))
     between, noisy = (as_array(np.sqrt(of), np.float32) for of in (best.between, best.noise))
-    wanted = None if aim is None else as_array(tolerance, np.float32)
+    wanted = as_array(tolerance, np.float32) if samples is None and tolerance is not None else None
     return Plan(shape, tuple(layers), between, noisy, wanted, shadows)
 
 

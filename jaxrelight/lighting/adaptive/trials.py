@@ -186,7 +186,7 @@ def calibrate(
     few, more = (count**-power + _EXACT**-power for count in (_FEW, _MORE))
     calibrated, parts = [], view.part_image()
     for layer in layers:
-        scale, alike = np.zeros((2, *parts.shape), np.float32)
+        scale, alike = np.zeros(parts.shape, np.float32), np.zeros(parts.shape, np.float32)
         for (of_layer, part), measured in sums.items():
             if of_layer == layer.number:
                 # Where trials measured nothing, the parts together tell the scale.
