@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
+from jaxrelight import InputError
 from tests.extremes.scenes import ball, by, picture_of, plain
 
 BLACK = jr.environment(np.zeros((2, 4, 3), np.float32))
@@ -13,6 +14,24 @@ BLACK = jr.environment(np.zeros((2, 4, 3), np.float32))
 def test_no_light_is_black(holds, method, tmp_path):
     image = picture_of(ball(), method, BLACK, tmp_path)
     holds(f"{method}: an all-black environment", np.abs(image).max(), 0.0)
+
+
+@by()
+def test_bad_pixels_are_repaired_and_counted_or_refused(holds, method, tmp_path):
+    """The picture is that of a map which is black there."""
+    good = np.random.default_rng(0).uniform(0.2, 1, (16, 32, 3)).astype(np.float32)
+    bad = good.copy()
+    good[3, 5] = good[7, 20] = good[12, 9] = 0
+    bad[3, 5], bad[7, 20], bad[12, 9] = np.nan, -np.inf, -2.0
+    with pytest.raises(InputError, match="2 NaN or infinite pixels"):
+        jr.environment(bad)
+    repaired = jr.environment(bad, zero_nonfinite=True)
+    assert len(repaired.notes) == 2
+    images = [
+        picture_of(ball(), method, sky, tmp_path / name)
+        for name, sky in (("good", jr.environment(good)), ("repaired", repaired))
+    ]
+    holds(f"{method}: pixels that are NaN, infinite and negative", np.abs(images[1] - images[0]).max(), 0.0)
 
 
 @by()
