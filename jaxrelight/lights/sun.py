@@ -140,7 +140,7 @@ def _find_sun(pixels: Float[np.ndarray, "h w 3"]) -> _Taken | None:
         )
         split = _brightest(mean) if len(mean) > MAX_TEXELS else None
         if split is not None:
-            return _taken(pixels, *split, n)
+            return _taken(pixels, *split, cell.reshape(rows, columns))
         n //= 2
     return None
 
@@ -157,17 +157,27 @@ def _brightest(texels: Float[np.ndarray, "d c"]) -> tuple[Int[np.ndarray, " n"],
     return order[:-1][bright], float(np.sqrt(limit) * largest)
 
 
-def _taken(pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most: float, n: int) -> _Taken:
-    """What a map's pixels in the bright cells of a cube map have above the brightest that is left."""
+def _taken(
+    pixels: Float[np.ndarray, "h w 3"], lit: Int[np.ndarray, " n"], most: float, cells: Int[np.ndarray, "g v"]
+) -> _Taken:
+    """What a map's pixels in the bright cells have above the brightest that is left.
+
+    Args:
+        pixels: radiance.
+        lit: the bright cells.
+        most: length of the radiance that is left.
+        cells: of the map that the sun was found in, the cell of every pixel: a finer pixel is in no other one.
+    """
     h, w = pixels.shape[:2]
     flat = pixels.reshape(-1, 3)
     # Few pixels are bright: nothing else of them is computed in double precision for a whole map.
     length = np.sqrt(np.einsum("pc,pc->p", flat, flat, dtype=float))
     here = np.flatnonzero(length > most)
-    towards = _towards(here, h, w)
-    cell = cubemap.texel_of(towards, n)
+    row, column = np.divmod(here, w)
+    cell = cells[row * cells.shape[0] // h, column * cells.shape[1] // w]
     bright = np.isin(cell, lit)
-    here, towards, cell = here[bright], towards[bright], cell[bright]
+    here, cell = here[bright], cell[bright]
+    towards = _towards(here, h, w)
     taken = _Taken.nothing(h, w)
     stays, slot = taken.stays.reshape(-1), taken.slot.reshape(-1)
     stays[here] = most / length[here]

@@ -8,7 +8,7 @@ import pytest
 import jaxrelight as jr
 from tests.benchmarks import large_skies
 from tests.benchmarks.measuring import run_child
-from tests.extremes.scenes import METHODS, ball
+from tests.extremes.scenes import METHODS, ball, picture_of, plain
 
 ROWS = 4096
 
@@ -45,3 +45,17 @@ def test_slopes_in_pixels_times_the_map_are_the_picture(holds, method, tmp_path)
     slopes = np.asarray(jax.grad(mean)(sky.pixels), float)
     whole = float(np.mean(np.asarray(relighter.shade(lit, view, traced).radiance), dtype=float))
     holds(f"{method}: slopes in pixels against the picture", abs((slopes * sky.pixels).sum() / whole - 1), 1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["pixels", "vertices", "prefiltered", "adaptive"])
+def test_a_sun_of_one_pixel_in_a_large_sky_keeps_its_energy(holds, method, tmp_path):
+    """E = L cosθ Δω on an open plain, and radiance is albedo E / π."""
+    row = 968
+    pixels = np.full((ROWS, 2 * ROWS, 3), 1e-3, np.float32)
+    pixels[row, 4808] = 2e8
+    edges = np.cos(np.pi * np.array([row, row + 1]) / ROWS)
+    solid_angle = (edges[0] - edges[1]) * np.pi / ROWS
+    wanted = 0.5 / np.pi * (2e8 * np.cos(np.pi * (row + 0.5) / ROWS) * solid_angle + 1e-3 * np.pi)
+    image = picture_of(plain(), method, jr.environment(pixels), tmp_path)
+    holds(f"{method}: a sun in a pixel of 8192 × 4096", np.abs(image / wanted - 1).max(), 0.01)

@@ -129,6 +129,16 @@ def test_a_map_is_its_rest_and_few_directions(rows: int, polar: float):
     assert angle < 0.75 * np.pi / rows
 
 
+def test_a_sun_in_a_fine_map_is_taken_wherever_it_is():
+    """Pixels of half the width of those that it is looked for in lie in the cells of these."""
+    pixels = np.full((1024, 2048, 3), 1e-3, np.float32)
+    # Across the border of a texel of 256² from the middle of the coarser pixel.
+    pixels[853, 1304] = 1e6
+    _, sun = without_sun(pixels)
+    energy = 1e6 * latlong.solid_angles(1024, 2048)[853]
+    np.testing.assert_allclose(np.asarray(sun.irradiance).sum(axis=0), energy, rtol=1e-3)
+
+
 def test_a_wide_pixel_is_several_directions():
     _, sun = without_sun(sunny(16))
     directions = np.asarray(sun.directions, float)
