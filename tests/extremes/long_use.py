@@ -4,7 +4,6 @@
 """
 
 import contextlib
-import ctypes
 import gc
 import sys
 from typing import Any
@@ -51,12 +50,11 @@ def lights(number: int, local: bool) -> list[Any]:
     return [sky, jr.point([*generator.uniform(-1, 1, 2), 2.0], float(generator.uniform(1, 3)))] if local else [sky]
 
 
-def _held() -> int:
-    """Bytes that are in use, and not only kept for what may come."""
+def _held() -> dict[str, int]:
+    """Bytes of the process, of JAX's arrays, and objects of Python."""
     gc.collect()
-    with contextlib.suppress(AttributeError, OSError):
-        ctypes.CDLL(None).malloc_trim(0)
-    return resident_memory()
+    arrays = sum(array.nbytes for array in jax.live_arrays())
+    return {"resident": resident_memory(), "arrays": arrays, "objects": sys.getallocatedblocks()}
 
 
 def main(method: str, folder: str, steps: int, what: str):
