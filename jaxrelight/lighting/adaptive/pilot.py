@@ -19,10 +19,11 @@ from jaxrelight.numerics.random_numbers import MAX_POINTS
 
 # Pixels of each layer whose noise is measured, and pixels that lie between others.
 _NOISY, _BETWEEN = 192, 512
-# Samples of those that lie between others, and of those whose noise is measured, in all of the components.
-_ALIKE, _LEAST_TRUTH = (64, 512), 64
-# The error of what stands for the truth, of what is measured.
-_TRUTH = 0.35
+# Samples of those that lie between others, and of other components than the one whose noise is measured.
+_ALIKE, _OTHER = (64, 512), 64
+# The error of what stands for the truth, of what is measured, and the least of its samples: what filtered look-ups blur
+# falls slowly, in some pictures by a tenth from 256 samples to 512.
+_TRUTH, _LEAST_TRUTH = 0.35, 1024
 # Without a pilot, factors on error² would be 1, give or take so much; none are outside of these.
 _EXPECTED, _NOISE_FACTORS, _BETWEEN_FACTORS = 1.5, (0.25, 64.0), (0.16, 64.0)
 # What is rare is met by few pixels: so many standard deviations are added to what is measured of interpolation.
@@ -72,7 +73,7 @@ def _noise(trials: Trials, plan: Plan, weights, seed: int) -> list[float]:
     for number, (layer, of, weight) in enumerate(zip(plan.layers, drawn, weights, strict=True)):
         counts, asked = np.asarray(layer.counts).ravel(), np.asarray(layer.hierarchy.asked).ravel()
         planned, truth = np.zeros((2, len(counts)), int)
-        truth[every] = np.where(asked[every], _LEAST_TRUTH, 0)
+        truth[every] = np.where(asked[every], _OTHER, 0)
         more = np.minimum(counts[of.pixels] * _TRUTH ** (-2 / float(layer.power)), MAX_POINTS - RUN)
         planned[of.pixels], truth[of.pixels] = counts[of.pixels], np.maximum(more.astype(int), _LEAST_TRUTH)
         few, many = (

@@ -27,8 +27,9 @@ from jaxrelight.numerics.arrays import as_array
 
 # How noise falls is tried out on so many pairs of pixels of each part, with few and with more samples, against many.
 _PAIRS, _FEW, _MORE, _EXACT = 96, 16, 128, 512
-# Error² can fall by these powers of the number of samples: from 1, of random numbers, to somewhat beyond even ones.
-_FALLS = 0.9, 1.6
+# Error² can fall by these powers of the number of samples: from 1, of random numbers, to that of even ones and of what
+# filtered look-ups blur.
+_FALLS = 0.9, 2.2
 # These are the seeds of trials; users' seeds are others.
 _TRIALS = -1, -2, -4
 
