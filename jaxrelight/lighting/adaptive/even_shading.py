@@ -15,7 +15,7 @@ from jaxrelight.numerics.arrays import as_array
 
 # Samples that take as long as prediction, planning and pilot: of any picture, and of each of its pixels and layers;
 # with shadows, whose rays take longer than the samples.
-_PLANNING = {False: (1_000_000, 24), True: (400_000, 8)}
+_PLANNING = {False: (1_000_000, 24), True: (600_000, 16)}
 
 
 def even_layers(view: AdaptiveView, tried: NoiseTrials, count: int) -> tuple[list[LayerEstimate], float]:

@@ -21,6 +21,8 @@ from jaxrelight.numerics.random_numbers import MAX_POINTS
 _NOISY, _BETWEEN = 192, 512
 # Samples of those that lie between others, and of other components than the one whose noise is measured.
 _ALIKE, _OTHER = (64, 512), 64
+# Of the plan's samples, no more than this share tells what lies between, unless that is the least.
+_SHARE = 1 / 16
 # The error of what stands for the truth, of what is measured, and the least of its samples: what filtered look-ups blur
 # falls slowly, in some pictures by a tenth from 256 samples to 512.
 _TRUTH, _LEAST_TRUTH = 0.35, 1024
@@ -100,7 +102,8 @@ def _between(trials: Trials, plan: Plan, weights) -> float:
     total, apart = trials.other_light().reshape(-1, 3)[drawn.pixels], np.zeros((2, len(drawn.pixels), 3))
     for number, (layer, weight) in enumerate(zip(plan.layers, weights, strict=True)):
         needed = layer.hierarchy.sources(chosen) | (chosen & np.asarray(layer.hierarchy.asked))
-        counts = np.where(needed, _alike(layer, plan.error), 0)
+        most = _SHARE * plan.samples / max(len(_SEEDS) * len(plan.layers) * np.count_nonzero(needed), 1)
+        counts = np.where(needed, _alike(layer, plan.error, most), 0)
         for k, seed in enumerate(_SEEDS):
             image = trials.radiance(number, counts, seed, alike=True)
             between = np.asarray(layer.hierarchy.interpolate(as_array(image)))
@@ -115,12 +118,12 @@ def _between(trials: Trials, plan: Plan, weights) -> float:
     )
 
 
-def _alike(layer: LayerPlan, error: float) -> int:
+def _alike(layer: LayerPlan, error: float, most: float) -> int:
     """The samples that tell what lies between: as many in all pixels, or their noise would not be alike."""
     shaded = np.asarray(layer.hierarchy.shaded)
     typical = np.sqrt(np.mean(np.asarray(layer.deviation, float)[shaded] ** 2)) if shaded.any() else 0.0
     wanted = (typical / max(error, 1e-9)) ** (2 / float(layer.power))
-    return int(np.clip(wanted, *_ALIKE)) // RUN * RUN
+    return int(np.clip(min(wanted, most), *_ALIKE)) // RUN * RUN
 
 
 def _factor(measured, predicted, limits: tuple[float, float], careful: float = 0.0) -> float:

@@ -21,8 +21,8 @@ from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.random_numbers import MAX_POINTS
 
 # Errors between parents that are tried, and the first of them; 0 shades every pixel.
-_TOLERANCES = (*(5.12 * 2 ** (-k / 2) for k in range(20)), 0.0)
-_FIRST = 8
+_TOLERANCES = (*(5.12 * 2.0**-k for k in range(10)), 0.0)
+_FIRST = 3
 # A tolerance is met up to rounding; the cost of what misses it, in samples.
 _MET, _MISSED = 1.01, 1e18
 # So many bins of what pixels want are there to twice as much; and so often at most the number of samples that they say
