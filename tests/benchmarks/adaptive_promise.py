@@ -61,7 +61,7 @@ def textured() -> Material:
     from PIL import Image
 
     colours = np.asarray(Image.open(shared("data", "mesh", "spot_texture.png")).convert("RGB"), np.float32) / 255
-    paint = Component(white_lambert(), (Texture(as_array(colours**2.2 * 0.7)).minified(),))
+    paint = Component(white_lambert(), (Texture(as_array(colours**2.2 * 0.7, np.float32)).minified(),))
     return Material((paint, Component(white_phong(200.0), (constant(0.2),))))
 
 

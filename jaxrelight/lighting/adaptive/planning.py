@@ -193,11 +193,11 @@ def make_plan(
         counts = np.zeros(own.where.shape, np.int32)
         counts[own.where] = RUN * best.runs[start : start + len(own.brought)]
         start += len(own.brought)
+        power_of, share = as_array(power, np.float32), as_array(estimate.share, np.float32)
         given = own.hierarchy, as_array(counts), estimate.bandwidth, estimate.deviation
-        numbers = as_array(power, np.float32), as_array(estimate.share, np.float32)
-        layers.append(LayerPlan(*given, *numbers, estimate.alike))
+        layers.append(LayerPlan(*given, power_of, share, estimate.alike))
     between, noisy = (as_array(np.sqrt(of), np.float32) for of in (best.between, best.noise))
-    wanted = as_array(tolerance, np.float32) if samples is None and tolerance is not None else None
+    wanted = None if samples is not None or tolerance is None else as_array(tolerance, np.float32)
     return Plan(shape, tuple(layers), between, noisy, wanted, shadows)
 
 

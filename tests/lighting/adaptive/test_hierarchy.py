@@ -184,3 +184,17 @@ def test_opposite_borders_are_not_beside_each_other():
     wanted = np.zeros((6, 6))
     wanted[4:, 4:] = wanted[1, 3] = 1
     np.testing.assert_array_equal(jax.jit(_most_around)(rates, kinds)[0], wanted)
+
+
+def test_sources_are_the_shaded_pixels_that_others_hang_on():
+    """What lies between them is the same where no other pixel is shaded."""
+    between = hierarchy(features(angular=0.5)).within(0.3)
+    chosen = np.zeros((H, W), bool)
+    chosen[5, 7] = chosen[8, 8] = chosen[H - 1, W - 1] = True
+    found, image = between.sources(chosen), np.random.default_rng(0).random((H, W, 3), np.float32)
+    assert not np.asarray(between.shaded)[chosen].all()
+    assert found.sum() < np.asarray(between.shaded).sum()
+    all_of_it, some = (
+        np.asarray(between.interpolate(as_array(of)))[chosen] for of in (image, image * found[..., None])
+    )
+    np.testing.assert_array_equal(some, all_of_it)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from jaxrelight.lighting.adaptive.estimate import RUN
-from jaxrelight.lighting.adaptive.hierarchy import Hierarchy, hierarchy
-from jaxrelight.lighting.adaptive.planning import LayerEstimate, make_plan
+from jaxrelight.lighting.adaptive.hierarchy import Hierarchy, hierarchy, shade_all
+from jaxrelight.lighting.adaptive.planning import AIM, LayerEstimate, make_plan
 from jaxrelight.numerics.random_numbers import MAX_POINTS
 from tests.lighting.adaptive.test_hierarchy import H, W, features, plain
 
@@ -72,6 +72,28 @@ def test_the_more_noise_the_fewer_pixels_share_a_budget():
 def test_pixels_of_a_fine_view_share_the_samples_of_the_picture():
     one, four = plan(samples=64), plan(samples=64, factor=2)
     assert four.samples == pytest.approx(one.samples / 4, rel=0.1)
+
+
+def test_noise_that_neighbours_have_in_common_is_no_smaller_between_them():
+    none, one = jnp.zeros((H, W)), jnp.ones((H, W))
+    of = jnp.asarray(noise(), jnp.float32)
+    plans = [
+        make_plan([LayerEstimate(0, plain(), of, none, alike)], 1.0, (H, W), PIXELS, 1, None, 0.03, shadows=False)
+        for alike in (none, one)
+    ]
+    assert plans[1].samples > 2 * plans[0].samples
+    assert all(of.is_met for of in plans)
+
+
+def test_an_even_plan_shades_every_pixel():
+    none = jnp.zeros((H, W))
+    estimate = LayerEstimate(0, shade_all(jnp.ones((H, W), bool)), jnp.full((H, W), 0.3), none, none)
+    planned = make_plan([estimate], 1.0, (H, W), PIXELS, 1, None, 0.03, shadows=False, even=True)
+    counts = np.unique(planned.layers[0].counts)
+    assert planned.shaded == PIXELS
+    assert len(counts) == 1
+    assert 0.8 * 0.03 < planned.error < AIM * 0.03 * 1.01
+    assert float(planned.interpolation) == 0
 
 
 def test_a_tolerance_that_cannot_be_met_is_said_to_be_and_has_the_best():

@@ -122,6 +122,22 @@ def test_small_pictures_are_shaded_evenly():
     assert 0.006 < off(image, wanted(False), covered()) < 0.012
 
 
+@pytest.mark.parametrize("wrong", [0.3, pytest.param(3.0, marks=pytest.mark.slow)])
+def test_the_pilot_puts_a_wrong_prediction_right(wrong: float, monkeypatch):
+    """Noise and what lies between are both said to be so many times as large."""
+    monkeypatch.setattr(module, "planning_pays", lambda *_, **__: True)
+    calibrated = module.calibrate
+
+    def misled(*given):
+        layers, power = calibrated(*given)
+        return [of._replace(deviation=wrong * of.deviation, share=wrong * of.share) for of in layers], power
+
+    monkeypatch.setattr(module, "calibrate", misled)
+    relighter = of_scene(tolerance=0.01, shadows=False)
+    _, image = shaded(relighter, sky(), view())
+    assert 0.5 * 0.01 < off(image, wanted(False), covered()) < 1.25 * 0.01
+
+
 def test_noise_is_tried_out_for_each_material(monkeypatch):
     """So samples go where noise is found, however wrong it is predicted."""
     of_first = view().part_image() == 0
