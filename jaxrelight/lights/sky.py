@@ -76,14 +76,8 @@ def sky_of(environment: Environment, samples: int = 256) -> Sky:
     cut = math.isqrt(max(1, samples // math.prod(pixels.shape[:2])))
     pixels = pixels.repeat(cut, axis=0).repeat(cut, axis=1) if cut > 1 else pixels
     shares = _shares(jax.lax.stop_gradient(pixels), samples)
-    given = pixels, environment.rotate_y, environment.scale
-    if is_traced(given):
-        return _sky(*given, shares, samples)
-    # Cut down on the host: few maps fill all shares.
-    sky = _sky(*(as_array(np.asarray(one, np.result_type(pixels, np.float32))) for one in given), shares, samples)
-    used = np.flatnonzero(np.asarray(sky.irradiance).any(axis=1))
-    used = used if len(used) else np.zeros(1, int)
-    return Sky(as_array(np.asarray(sky.directions)[used]), as_array(np.asarray(sky.irradiance)[used]))
+    # Shares that no pixel reaches are kept, dark: every sky is of as many lights, and compiles nothing anew.
+    return _sky(pixels, environment.rotate_y, environment.scale, shares, samples)
 
 
 def _shares(pixels, samples: int) -> Int[Array | np.ndarray, " p"]:
