@@ -256,14 +256,20 @@ def resident_memory() -> int:
     return int(match[1]) * 1024
 
 
-def run_child(module: str, *arguments: str) -> dict:
+def run_child(module: str, *arguments: str, variables: Mapping[str, str] | None = None) -> dict:
     """What a fresh process that runs `python -m module arguments` returns with `answer`.
+
+    Args:
+        module: run as a program.
+        arguments: its own.
+        variables: of its environment, beside those of this process.
 
     Raises:
         RuntimeError: if it fails.
     """
     command = [sys.executable, "-m", module, *arguments]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    env = os.environ | dict(variables or {})
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False, env=env)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command[1:])} ended with {done.returncode}")
     return json.loads(done.stdout.splitlines()[-1])

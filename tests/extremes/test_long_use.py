@@ -7,13 +7,15 @@ from tests.benchmarks.measuring import run_child
 from tests.extremes.scenes import METHODS
 
 STEPS = 1000
+# The allocator gives back what is free: otherwise gaps of tens of megabytes, others in each run, are counted.
+ALLOCATOR = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "65536"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["lights", "gradients"])
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_grows_and_nothing_is_compiled_anew(holds, method, what, tmp_path):
-    told = run_child("tests.extremes.long_use", method, str(tmp_path / "store"), str(STEPS), what)
+    told = run_child("tests.extremes.long_use", method, str(tmp_path / "store"), str(STEPS), what, variables=ALLOCATOR)
     first, last = told["values"]
     assert np.isfinite([first, last]).all()
     assert last < first if what == "gradients" else last != first
@@ -22,5 +24,4 @@ def test_nothing_grows_and_nothing_is_compiled_anew(holds, method, what, tmp_pat
     more = {of: late[of] - early[of] for of in early}
     holds(f"{method}: bytes of arrays more after 1,000 {what} than after 100", more["arrays"], 0)
     holds(f"{method}: objects more for each of 900 {what}", more["objects"] / 900, 20)
-    # What is free between what is in use is the allocator's, and differs by as much from run to run.
-    holds(f"{method}: MB more after 1,000 {what} than after 100", more["resident"] / 1e6, 10)
+    holds(f"{method}: MB more after 1,000 {what} than after 100", more["resident"] / 1e6, 5)

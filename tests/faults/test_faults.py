@@ -107,7 +107,7 @@ def test_the_worker_limits_memory_and_judges_messages(odd, monkeypatch):
     from tests.faults import worker
 
     path = next(iter(odd))
-    outcome = campaign._loaded([path], (*campaign.WORKER[:-1], "40"))[path]
+    outcome = campaign._loaded([path], (*campaign.WORKER[:-1], "32"))[path]
     assert "larger than the free memory" in outcome["message"]
     assert outcome["wrong"] == "memory was taken before the file was refused"
     assert odd[path]["outcome"] == "loaded"
