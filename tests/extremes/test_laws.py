@@ -153,6 +153,7 @@ BRDFS = {
     "Lambert": jr.lambert(0.5),
     "Phong": jr.phong(0.2, 0.7, 100),
     "Lafortune": jr.lobe_sum(0.1, [jr.lobe([-1.2, -0.3, 0.6], 30, peak=2)]),
+    "Ashikhmin–Shirley": jr.ashikhmin_shirley(0.3, 0.5, 200.0, 20.0),
 }
 
 

@@ -71,7 +71,7 @@ def _noise(trials: Trials, plan: Plan, weights, seed: int) -> list[float]:
         drawn.append(_drawn(brought, _NOISY))
         predicted.append((noise.ravel(), brought.ravel()))
     every = np.unique(np.concatenate([np.zeros(0, int), *(of.pixels for of in drawn)]))
-    total, apart = trials.other_light(), []
+    total, apart = np.zeros((*trials.view.padded_shape, 3), np.float32), []
     for number, (layer, of, weight) in enumerate(zip(plan.layers, drawn, weights, strict=True)):
         counts, asked = np.asarray(layer.counts).ravel(), np.asarray(layer.hierarchy.asked).ravel()
         planned, truth = np.zeros((2, len(counts)), int)
@@ -99,7 +99,7 @@ def _between(trials: Trials, plan: Plan, weights) -> float:
     if not len(drawn.pixels):
         return 1.0
     chosen.ravel()[drawn.pixels] = True
-    total, apart = trials.other_light().reshape(-1, 3)[drawn.pixels], np.zeros((2, len(drawn.pixels), 3))
+    total, apart = np.zeros((len(drawn.pixels), 3), np.float32), np.zeros((2, len(drawn.pixels), 3))
     for number, (layer, weight) in enumerate(zip(plan.layers, weights, strict=True)):
         needed = layer.hierarchy.sources(chosen) | (chosen & np.asarray(layer.hierarchy.asked))
         most = _SHARE * plan.samples / max(len(_SEEDS) * len(plan.layers) * np.count_nonzero(needed), 1)

@@ -360,7 +360,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         samplers = [[part.sampler for part in of_part] for of_part in components]
         weights = [[part.weight for part in of_part] for of_part in components]
         blocked = [self._blocked(view, part) for part in range(len(components))]
-        trials = Trials(view, light, samplers, weights, blocked, 2.0**-method.exposure, None)
+        trials = Trials(view, light, samplers, weights, blocked, 2.0**-method.exposure)
         tried, pixels, shadows = try_noise(trials), max(view.covered_count(), 1), method.shadows
         layers, power = even_layers(view, tried, trials.layers)
         even = tolerance is not None and not planning_pays(

@@ -36,7 +36,7 @@ _TRIALS = -1, -2, -4
 
 @dataclasses.dataclass(frozen=True)
 class Trials:
-    """Shades some pixels of a view.
+    """Shades some pixels of a view under an environment, without other lights and its sun.
 
     Attributes:
         view: whose pixels.
@@ -45,7 +45,6 @@ class Trials:
         weights: theirs.
         blocked: casts the shadows of each part.
         white: the radiance that is displayed as 1.
-        others: radiance of all other light in the view's pixels; None for none.
     """
 
     view: AdaptiveView
@@ -54,7 +53,6 @@ class Trials:
     weights: Sequence[Sequence[Weight]]
     blocked: Sequence[Blocked | None]
     white: float
-    others: Float[np.ndarray, "h w 3"] | None
 
     @property
     def layers(self) -> int:
@@ -92,14 +90,6 @@ class Trials:
                 place = np.minimum(np.asarray(self.view.places[part]), self.view.size)
                 image[place] = np.asarray(_weight(weights[number], self.view.surfaces.parts[part].pixels))
         return image[:-1].reshape(*self.view.padded_shape, 3)
-
-    def other_light(self) -> Float[np.ndarray, "h w 3"]:
-        """The padded image of what is no environment's."""
-        image = np.zeros((*self.view.padded_shape, 3), np.float32)
-        if self.others is not None:
-            rows, columns = self.others.shape[:2]
-            image[:rows, :columns] = self.others
-        return image
 
     def seen(self, total: Float[np.ndarray, "*p 3"], change: Float[np.ndarray, "*p 3"]) -> Float[np.ndarray, "*p 3"]:
         """What a change of radiance changes in displayed values."""
@@ -145,7 +135,7 @@ def try_noise(trials: Trials) -> NoiseTrials:
         first = np.unique(np.linspace(0, len(place) - 2, _PAIRS).astype(int) // 2 * 2) if len(place) > 1 else []
         chosen.append(place[np.ravel([(k, k + 1) for k in first]).astype(int)])
     at = np.concatenate([np.zeros(0, int), *chosen])
-    total, apart = trials.other_light().reshape(-1, 3)[at], []
+    total, apart = np.zeros((len(at), 3), np.float32), []
     for number in range(trials.layers):
         weight = trials.weight(number).reshape(-1, 3)[at]
         few, more, exact = (
