@@ -2,6 +2,7 @@
 
 import abc
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -17,7 +18,7 @@ from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.picture_error import Pictured, PictureError, joined, measured_error
 from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, Sample, kept_reference
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
-from jaxrelight.methods import Method
+from jaxrelight.methods import Method, check_whole
 from jaxrelight.numerics.arrays import is_traced
 from jaxrelight.progress import Report
 
@@ -206,11 +207,12 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
             The error; None for no samples, or where no surface is seen.
 
         Raises:
-            InputError: for what is traced.
+            InputError: for what is traced, or samples that are no whole number from 0.
         """
+        _check_measurable((image, lit, view), samples)
         if not samples or not np.asarray(image.alpha).any():
             return None
-        reference = self._kept_reference(lit, view, samples, seed)
+        reference = self._kept_reference(view, samples, seed)
         radiance = np.asarray(image.radiance).reshape(-1, 3)
         chosen, weights = reference.samples(radiance)
         return self._measured(lit, reference, chosen, weights, [radiance[sample.pixels] for sample in chosen])
@@ -218,7 +220,7 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
     def expected_error(
         self, lit: LitT, view: ViewT, *, samples: int = ERROR_SAMPLES, seed: int = 0
     ) -> PictureError | None:
-        """How far off a picture will be, before it is shaded: those of its pixels are that are drawn evenly, no others.
+        """How far off a picture will be. Only a few hundred of its pixels are shaded, drawn evenly.
 
         The trimmed error is close to what the picture reports; the untrimmed one misses what a few bright pixels bring,
         which are drawn from the picture. A view's rays are cast once and serve its pictures, too.
@@ -233,11 +235,12 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
             The error; None for no samples, or where no surface is seen.
 
         Raises:
-            InputError: for what is traced, and of adaptive lighting, whose plan tells it.
+            InputError: as `error`; and for adaptive lighting, whose plan tells it.
         """
+        _check_measurable((lit, view), samples)
         if not samples:
             return None
-        reference = self._kept_reference(lit, view, samples, seed)
+        reference = self._kept_reference(view, samples, seed)
         even, of_all = reference.even, np.full(len(reference.even.pixels), reference.evenly)
         if not len(of_all):
             return None
@@ -247,9 +250,7 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         """What a picture will have at the pixels of a sample."""
         return np.asarray(self.shade(lit, sample.view).radiance)[0]
 
-    def _kept_reference(self, lit: LitT, view: ViewT, samples: int, seed: int) -> Reference:
-        if is_traced((lit, view)):
-            raise InputError("the error of a picture is measured on numbers that are known; ask for it outside of jit")
+    def _kept_reference(self, view: ViewT, samples: int, seed: int) -> Reference:
         leaves = jax.tree.leaves(self)
         key = samples, seed, tuple(map(id, leaves))
         return kept_reference(view, key, leaves, lambda: self.reference(view, samples, seed))
@@ -294,6 +295,12 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         lit, view = self.light(self.scene_lights() if lights is None else as_lights(lights)), self.view(camera)
         image = self.shade(lit, view)
         return image.rgba(self.background(lit, view) if background else None)
+
+
+def _check_measurable(parts: Any, samples: int) -> None:
+    if is_traced(parts):
+        raise InputError("the error of a picture is measured on numbers that are known; ask for it outside of jit")
+    check_whole("samples", samples, 0, math.inf)
 
 
 @functools.partial(jax.jit, static_argnames="factor")

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
@@ -98,6 +99,26 @@ def test_what_is_expected_of_a_picture_is_what_its_even_pixels_tell(folder):
     assert relighter.expected_error(lit, view, samples=0) is None
     away = relighter.view(dataclasses.replace(CAMERA, target=(0.4, 9, 2.5)))
     assert relighter.expected_error(lit, away) is None
+
+
+@pytest.mark.usefixtures("wrong_types")
+@pytest.mark.parametrize("samples", [-1, 2.5, "many"])
+def test_a_wrong_number_of_samples_is_refused(folder, samples):
+    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32), folder)
+    view, lit = relighter.view(), relighter.light(sky())
+    with pytest.raises(jr.InputError, match=r"samples are .* must be whole numbers from 0"):
+        relighter.expected_error(lit, view, samples=samples)
+    with pytest.raises(jr.InputError, match="samples are"):
+        relighter.shade(lit, view).measure(samples)
+
+
+def test_errors_are_not_measured_inside_of_compiled_functions(folder):
+    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32), folder)
+    view, lit = relighter.view(), relighter.light(sky())
+    image = relighter.shade(lit, view)
+    for ask in (lambda im: relighter.error(im, lit, view), lambda im: relighter.expected_error((lit, im), view)):
+        with pytest.raises(jr.InputError, match="outside of jit"):
+            jax.jit(ask)(image)
 
 
 @pytest.mark.slow
