@@ -187,6 +187,10 @@ def test_samples_stand_for_all_pixels_however_they_are_drawn():
         told.append([every.sum(), every @ own, every @ own**2])
     wanted = [4000, radiance[:, 0].sum(), (radiance[:, 0] ** 2).sum()]
     np.testing.assert_allclose(np.mean(told, axis=0), wanted, rtol=0.03)
+    # Of a black picture, pixels are drawn evenly.
+    (even,), (alike,) = Nothing(shown, 250, 0).samples(0 * radiance)
+    assert len(even.pixels) == 250 - 62
+    np.testing.assert_allclose([alike.sum(), np.ptp(alike)], [4000, 0], atol=1e-9)
     # Nearly the same energy in every draw: pixels are drawn by it.
     assert np.std(told, axis=0)[2] < 0.1 * wanted[2]
 
