@@ -181,7 +181,8 @@ def test_budgets_are_kept_and_more_is_better():
 
 
 @pytest.mark.slow
-def test_lambert_under_a_constant_sky_is_exact_and_hardly_shaded():
+def test_lambert_under_a_constant_sky_is_exact_and_hardly_shaded(monkeypatch):
+    monkeypatch.setattr(module, "planning_pays", lambda *_, **__: True)
     camera = dataclasses.replace(CAMERA, width=240, height=200)
     ball = Scene([Part(sphere(1, 48), "skin")], {"skin": lambert(0.6)}, camera, name="ball")
     relighter = prepared(ball, tolerance=0.01, shadows=False)
@@ -323,8 +324,9 @@ def test_a_wire_one_pixel_wide_is_not_lost():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [2, 4])
-def test_several_samples_of_surfaces_in_a_pixel(factor: int):
+def test_several_samples_of_surfaces_in_a_pixel(factor: int, monkeypatch):
     """The mean over them has the error that was asked for, and takes not as many times the samples."""
+    monkeypatch.setattr(module, "planning_pays", lambda *_, **__: True)
     one = of_scene(tolerance=0.01, shadows=False, antialiasing=factor**2)
     mine = one.view()
     image = one.shade(sky(), mine)
