@@ -61,7 +61,8 @@ def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) ->
     """A camera's G-buffer, whose normals are bent.
 
     A slope that faces away from the eye could not be seen, were it really there; it is turned until it is, nearly
-    edge on. Else it would be black, as what is seen from below its normal is.
+    edge on. Else it would be black, as what is seen from below its normal is. So are interpolated normals at the rims
+    of coarse meshes, unless their mesh asks for shading normals as they are.
     """
     gbuffer = trace_gbuffer(surfaces, tracer, camera)
     side = np.where(gbuffer.back, -1.0, 1.0)[:, None]
@@ -73,8 +74,17 @@ def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) ->
             turned = side[mine] * apply_normal_map(
                 side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps, gbuffer.footprint[mine]
             )
-            omega_o = gbuffer.omega_o[mine]
-            seen = np.minimum(_MIN_COSINE, np.sum(normals[mine] * omega_o, axis=1, keepdims=True))
-            turned += np.maximum(seen - np.sum(turned * omega_o, axis=1, keepdims=True), 0) * omega_o
-            normals[mine] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+            normals[mine] = turned
+    away = np.sum(normals * gbuffer.omega_o, axis=1) < _MIN_COSINE
+    mine = np.flatnonzero(away & ~surfaces.pure_normals[gbuffer.mesh])
+    normals[mine] = _turned_to_eye(normals[mine], gbuffer.face_normals[mine], gbuffer.omega_o[mine])
     return dataclasses.replace(gbuffer, normals=normals)
+
+
+def _turned_to_eye(
+    normals: Float[np.ndarray, "p 3"], face_normals: Float[np.ndarray, "p 3"], omega_o: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "p 3"]:
+    """Normals turned to the eye as far as the face is, but at most until they are seen, nearly edge on."""
+    least = np.minimum(_MIN_COSINE, np.sum(face_normals * omega_o, axis=1, keepdims=True))
+    turned = normals + np.maximum(least - np.sum(normals * omega_o, axis=1, keepdims=True), 0) * omega_o
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True)

@@ -42,7 +42,7 @@ import zstandard
 from jaxrelight.errors import InputError
 from jaxrelight.files.array_file import check_arrays, decode_arrays, encode_arrays
 
-FORMAT = 6
+FORMAT = 7
 
 # Seconds after which a file that was not renamed belongs to nobody any more: writing one takes milliseconds.
 _ABANDONED = 60

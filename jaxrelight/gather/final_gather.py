@@ -162,7 +162,7 @@ class FinalGather:
         positions, normals = receivers.positions[group], receivers.normals[group]
         links = self._refined(self.links(positions, normals), positions, frames, reflections)
         points = links.places
-        visible = self._visible(positions + OFFSET * receivers.face_normals[group], normals, points)
+        visible = self._visible(receivers.origins[group], normals, points)
         sources = self._sources(links)
         seen = np.zeros((len(positions), len(sources.areas)), bool)
         seen[:, : len(points)] = visible

@@ -10,6 +10,7 @@ from jaxrelight.basis.quadtree import flattened, z_curve
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import OFFSET
 
 # Where directions of the sky are, in scene space, whose coordinates are at most 1.
 FAR = 1000.0
@@ -182,10 +183,11 @@ def cloud_receivers(cloud: GatherCloud) -> Receivers:
     member = np.pad(order, (0, groups * GROUP - len(order)), constant_values=order[0]).reshape(groups, GROUP)
     filled = np.full(groups, min(GROUP, len(order)))
     normals, face_normals = cloud.normals[member], cloud.face_normals[member]
+    origins = cloud.positions[member] + OFFSET * face_normals
     none = np.zeros_like(normals)
     of_material = np.zeros(groups, np.int64)
     return Receivers(
-        cloud.positions[member], normals, face_normals, none, None, None, None, of_material, filled, slot_of
+        cloud.positions[member], normals, face_normals, origins, none, None, None, None, of_material, filled, slot_of
     )
 
 

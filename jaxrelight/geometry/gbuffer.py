@@ -26,7 +26,8 @@ class GBuffer:
     Attributes:
         covered: which pixels, row by row, see a surface; their points follow in that order.
         directions: unit world direction through every pixel.
-        corners: vertex numbers of the face seen.
+        face: number of the face seen.
+        corners: vertex numbers of that face.
         barycentric: weights of its corners.
         back: whether the back of a two-sided mesh is seen; all normals are that side's.
         normals: interpolated unit shading normals.
@@ -41,6 +42,7 @@ class GBuffer:
 
     covered: Bool[np.ndarray, "*h"]
     directions: Float[np.ndarray, "*h 3"]
+    face: Int[np.ndarray, " p"]
     corners: Int[np.ndarray, "p 3"]
     barycentric: Float[np.ndarray, "p 3"]
     back: Bool[np.ndarray, " p"]
@@ -112,6 +114,7 @@ def trace_points(
     return GBuffer(
         covered=covered.reshape(directions.shape[:-1]),
         directions=directions,
+        face=face,
         corners=corners,
         barycentric=weights,
         back=back,

@@ -32,6 +32,8 @@ class Mesh:
         uv: texture coordinates, u rightwards and v upwards, repeating beyond 0 … 1; None where there are none.
         two_sided: whether the back is a surface like the front; else it is black.
         uv_tangents: whether tangent frames follow u instead of Wang 2006 §3.3.2.
+        pure_normals: whether shading normals are taken as they are. Else those that face away from the eye are turned
+            to it, and rays start on the smooth surface that the normals stand for, see `ray_origins`.
     """
 
     vertices: Float[np.ndarray, "v 3"]
@@ -41,6 +43,7 @@ class Mesh:
     uv: Float[np.ndarray, "v 2"] | None = None
     two_sided: bool = False
     uv_tangents: bool = False
+    pure_normals: bool = False
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

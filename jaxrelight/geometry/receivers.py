@@ -9,13 +9,12 @@ from jaxtyping import Float, Int
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
-from jaxrelight.geometry.tracer import OFFSET
 
 # Receivers of a group: the unit of tracing, baking, storing and resuming.
 GROUP = 128
 
-# How far vertices at the rim of a surface are moved into it, in scene space: see `_off_the_rim`.
-_INSET = 2 * OFFSET
+# How far vertices at the rim of a surface are moved into it, times their lift: see `_off_the_rim`.
+_INSET = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +28,8 @@ class Receivers:
     Attributes:
         positions: in scene space, on the surface.
         normals: unit shading normals.
-        face_normals: unit normals along which ray origins are lifted.
+        face_normals: unit normals of the faces; at vertices their mean.
+        origins: of rays, lifted off the surface.
         tangents: what tangent frames follow, see `tangent_frame`.
         omega_o: unit world direction to the eye for pixels, None for vertices.
         uv: texture coordinates for pixels, None for vertices.
@@ -42,6 +42,7 @@ class Receivers:
     positions: Float[np.ndarray, "g m 3"]
     normals: Float[np.ndarray, "g m 3"]
     face_normals: Float[np.ndarray, "g m 3"]
+    origins: Float[np.ndarray, "g m 3"]
     tangents: Float[np.ndarray, "g m 3"]
     omega_o: Float[np.ndarray, "g m 3"] | None
     uv: Float[np.ndarray, "g m 2"] | None
@@ -73,17 +74,20 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
     def both(values, back=1):
         return np.concatenate([values, back * values[two_sided]])
 
-    face_normals = _vertex_face_normals(surfaces)
-    normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
+    normals, face_normals = both(surfaces.normals, -1), both(_vertex_face_normals(surfaces), -1)
     positions, tangents = both(_off_the_rim(surfaces)), both(surfaces.tangents)
-    return _grouped(positions, normals, face_normals, tangents, None, None, None, both(material))
+    origins = positions + both(surfaces.vertex_lift[:, None]) * face_normals
+    return _grouped(positions, normals, face_normals, origins, tangents, None, None, None, both(material))
 
 
-def pixel_receivers(gbuffer: GBuffer, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
-    """Every covered pixel: the view is fixed and the BRDF exact."""
+def pixel_receivers(
+    gbuffer: GBuffer, origins: Float[np.ndarray, "p 3"], material_of_mesh: Int[np.ndarray, " m"]
+) -> Receivers:
+    """Every covered pixel, with its origin of rays: the view is fixed and the BRDF exact."""
     material = np.asarray(material_of_mesh)[gbuffer.mesh]
-    directions = gbuffer.normals, gbuffer.face_normals, gbuffer.tangents, gbuffer.omega_o, gbuffer.uv, gbuffer.footprint
-    return _grouped(gbuffer.positions, *directions, material)
+    normals = gbuffer.normals, gbuffer.face_normals
+    seen = gbuffer.tangents, gbuffer.omega_o, gbuffer.uv, gbuffer.footprint
+    return _grouped(gbuffer.positions, *normals, origins, *seen, material)
 
 
 def _off_the_rim(surfaces: Surfaces) -> Float[np.ndarray, "v 3"]:
@@ -107,7 +111,8 @@ def _off_the_rim(surfaces: Surfaces) -> Float[np.ndarray, "v 3"]:
     length = np.linalg.norm(inwards, axis=1, keepdims=True)
     positions = surfaces.vertices.copy()
     # On a small face they move by no more than a tenth of the way.
-    positions[rim] += inwards / np.where(length > 0, length, 1) * np.minimum(_INSET, length / 10)
+    inset = np.minimum(_INSET * surfaces.vertex_lift[rim, None], length / 10)
+    positions[rim] += inwards / np.where(length > 0, length, 1) * inset
     return positions
 
 
@@ -123,7 +128,7 @@ def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:
     return np.where(length > 0, total / np.where(length > 0, length, 1), surfaces.normals)
 
 
-def _grouped(positions, normals, face_normals, tangents, omega_o, uv, footprint, material) -> Receivers:
+def _grouped(positions, normals, face_normals, origins, tangents, omega_o, uv, footprint, material) -> Receivers:
     order = np.lexsort((morton((positions + 1) / 2), material))
     members, material_of_group, filled = [], [], []
     for number in np.unique(material):
@@ -144,6 +149,7 @@ def _grouped(positions, normals, face_normals, tangents, omega_o, uv, footprint,
         positions=pick(positions),
         normals=pick(normals),
         face_normals=pick(face_normals),
+        origins=pick(origins),
         tangents=pick(tangents),
         omega_o=None if omega_o is None else pick(omega_o),
         uv=None if uv is None else pick(uv),

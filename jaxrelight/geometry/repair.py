@@ -9,6 +9,7 @@ from scipy.sparse import csgraph
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.raw_mesh import RawMesh
+from jaxrelight.numerics.unique_rows import unique_rows
 
 MAX_COORDINATE = 1e30  # float32 ends at 3e38, and areas square what they are given
 FACES_INWARD = "closed mesh faces inward: surfaces are one-sided, so it will look black"
@@ -57,7 +58,7 @@ def repaired(raw: RawMesh) -> Repaired:
     sound = np.less_equal(np.abs(vertices).max(axis=1, initial=0), MAX_COORDINATE)  # false for NaN
     faces = drop("NaN, infinite or beyond 1e30", sound[faces].min(axis=1))
     faces = drop("zero area", _has_area(vertices[faces]))
-    place = _unique_rows(vertices)[1]
+    place = unique_rows(vertices)[1]
     faces = drop("repeated", _first_of_kind(place[faces]))
     lost = {reason: count for reason, count in lost.items() if count}
     gone = sum(lost.values())
@@ -72,7 +73,7 @@ def repaired(raw: RawMesh) -> Repaired:
     usable = raw.stated & np.isfinite(raw.normals).all(axis=1)
     file_normals = unit(np.where(usable[:, None], raw.normals, 0.0), np.zeros(3))  # zero where the file has none
     seams = np.column_stack([raw.part, np.round(np.nan_to_num(raw.uv, nan=np.inf) * 1e6)])
-    first, same = _unique_rows(np.column_stack([vertices, seams, np.round(file_normals * 100)])[used])
+    first, same = unique_rows(np.column_stack([vertices, seams, np.round(file_normals * 100)])[used])
     rank = np.argsort(first)  # vertices keep the order of the file
     number = np.empty(len(vertices), np.int64)
     number[used] = np.argsort(rank)[same]
@@ -84,9 +85,9 @@ def repaired(raw: RawMesh) -> Repaired:
     missing = np.equal(np.abs(file_normals).max(axis=1, initial=0), 0)
     if (missing & raw.stated[source]).any():
         notes.append(f"normals computed for {(missing & raw.stated[source]).sum():,} vertices: the file's are unusable")
-    if _faces_inward(vertices, _unique_rows(vertices)[1][faces], faces):
+    if _faces_inward(vertices, unique_rows(vertices)[1][faces], faces):
         notes.append(FACES_INWARD)
-    first, welded = _unique_rows(np.column_stack([vertices, raw.part[source]]))
+    first, welded = unique_rows(np.column_stack([vertices, raw.part[source]]))
     computed = _angle_weighted(vertices[first], welded[faces])[welded]
     normals = np.where(missing[:, None], computed, file_normals)
     return Repaired(vertices, np.ascontiguousarray(faces), normals, tuple(notes), source)
@@ -103,7 +104,7 @@ def _first_of_kind(faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
     """Marks all but repetitions: the same three corners in the same turning direction."""
     turned = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     first = np.zeros(len(faces), bool)
-    first[_unique_rows(turned)[0]] = True
+    first[unique_rows(turned)[0]] = True
     return first
 
 
@@ -164,7 +165,7 @@ def _neighbours(
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Bool[np.ndarray, " p"]]:
     """Pairs of faces (lower number first) at edges that exactly two share, and whether both run the same way there."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    edge = _unique_rows(np.sort(edges, axis=1))[1]
+    edge = unique_rows(np.sort(edges, axis=1))[1]
     order = np.argsort(edge, kind="stable")
     two = order[(np.bincount(edge) == 2)[edge[order]]].reshape(-1, 2)
     rising = edges[:, 0] < edges[:, 1]
@@ -209,14 +210,3 @@ def unit(vectors: Float[np.ndarray, "n 3"], otherwise: Float[np.ndarray, "... 3"
     scaled = vectors / np.where(largest > 0, largest, 1.0)
     length = np.linalg.norm(scaled, axis=1, keepdims=True)
     return np.where(length > 0, scaled / np.where(length > 0, length, 1.0), otherwise)
-
-
-def _unique_rows(rows: np.ndarray) -> tuple[Int[np.ndarray, " u"], Int[np.ndarray, " n"]]:
-    """Indices of the first of each different row, in ascending order of value, and which of them each row is."""
-    order = np.lexsort(rows.T[::-1])
-    ranked = rows[order]
-    starts = np.ones(len(rows), bool)
-    starts[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
-    inverse = np.empty(len(rows), np.int64)
-    inverse[order] = np.cumsum(starts) - 1
-    return order[starts], inverse

@@ -10,6 +10,10 @@ from jaxtyping import Bool, Float, Int, Real
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
 
+# How far origins of rays are lifted off a face, relative to its coordinates and its size: rays have no near limit.
+# Sixteen roundings of single precision. Planes and boxes of every size and turn have no self-hits from four on.
+LIFT = 2.0**-20
+
 
 @dataclasses.dataclass(frozen=True)
 class Surfaces:
@@ -23,6 +27,7 @@ class Surfaces:
         mesh_of_vertex: which mesh each vertex belongs to.
         two_sided: which meshes have a back that is a surface, too.
         uv_tangents: which meshes have tangent frames along u.
+        pure_normals: which meshes' shading normals are taken as they are, see `Mesh.pure_normals`.
         centre: world position of the scene's centre.
         radius: half of the bounding box's longest side, in world units.
     """
@@ -34,6 +39,7 @@ class Surfaces:
     mesh_of_vertex: Int[np.ndarray, " v"]
     two_sided: Bool[np.ndarray, " m"]
     uv_tangents: Bool[np.ndarray, " m"]
+    pure_normals: Bool[np.ndarray, " m"]
     centre: Float[np.ndarray, "3"]
     radius: float
 
@@ -80,6 +86,20 @@ class Surfaces:
         asked = self.uv_tangents[self.mesh_of_vertex]
         return np.where(asked[:, None], self.u_axes[:, :3], 0) if asked.any() else np.zeros_like(self.vertices)
 
+    @functools.cached_property
+    def face_lift(self) -> Float[np.ndarray, " f"]:
+        """How far off each face rays start, in scene space: what rounding of its coordinates and its size needs."""
+        corners = self.vertices[self.faces]
+        reach, size = np.abs(corners).max(axis=(1, 2)), np.ptp(corners, axis=1).max(axis=1)
+        return LIFT * np.maximum(reach, size)
+
+    @functools.cached_property
+    def vertex_lift(self) -> Float[np.ndarray, " v"]:
+        """The largest lift of the faces around each vertex."""
+        lift = np.zeros(len(self.vertices))
+        np.maximum.at(lift, self.faces.ravel(), np.repeat(self.face_lift, 3))
+        return lift
+
     def uv_densities(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
         """Area in texture coordinates over area in scene space of some faces; 0 for those without area."""
         corners, uv = self.vertices[self.faces[faces]], self.uv[self.faces[faces]]
@@ -117,6 +137,7 @@ def join(meshes: Sequence[Mesh]) -> Surfaces:
         mesh_of_vertex=np.repeat(np.arange(len(meshes)), np.diff(starts)),
         two_sided=np.array([mesh.two_sided for mesh in meshes]),
         uv_tangents=np.array([mesh.uv_tangents for mesh in meshes]),
+        pure_normals=np.array([mesh.pure_normals for mesh in meshes]),
         centre=centre,
         radius=radius,
     )

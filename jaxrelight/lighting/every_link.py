@@ -11,6 +11,7 @@ from jaxrelight.brdf.reflection import of_group
 from jaxrelight.brdf.texture import Weight, look_up
 from jaxrelight.gather.final_gather import FinalGather
 from jaxrelight.geometry.gbuffer import GBuffer
+from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import pixel_receivers
 from jaxrelight.lighting.reference import Reference, Sample
 from jaxrelight.lighting.transport import TransportView
@@ -65,7 +66,9 @@ class EveryLink(Reference):
         transport, geometry, method = precomputed.transport, precomputed.stored.geometry, precomputed.method
         seen = geometry.visible
         assert seen is not None
-        receivers = pixel_receivers(_some(seen, pixels), _numbers(geometry.material_of_mesh))
+        points = _some(seen, pixels)
+        origins = ray_origins(geometry.surfaces, geometry.tracer, points)
+        receivers = pixel_receivers(points, origins, _numbers(geometry.material_of_mesh))
         place = np.full(receivers.positions.shape[0] * receivers.positions.shape[1], -1)
         place[receivers.slot_of] = np.arange(len(pixels))
         place = place.reshape(receivers.positions.shape[:2])

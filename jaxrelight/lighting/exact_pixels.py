@@ -147,8 +147,7 @@ class PixelVisibility:
         new, directions = np.flatnonzero(~known), cubemap.directions(self.resolution)
 
         def trace(some: slice) -> np.ndarray:
-            lifted = np.zeros_like(origins[new[some]])
-            return trace_visibility(points.tracer, origins[new[some]], normals[new[some]], lifted, directions)[0]
+            return trace_visibility(points.tracer, origins[new[some]], normals[new[some]], directions)[0]
 
         traced = in_parts(trace, len(new), _RAY_CHUNK)
         if (len(self._bits) + len(new)) * len(directions) > 8 * _MOST_KEPT:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import shade_lights
@@ -101,7 +102,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         self.points = surface_points(
             precomputed.stored.geometry.tracer,
             points.positions,
-            points.face_normals,
+            points.positions + OFFSET * points.face_normals,
             normals,
             surfaces.radius,
         )

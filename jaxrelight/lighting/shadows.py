@@ -65,7 +65,7 @@ class SurfacePoints(eqx.Module):
 def surface_points(
     tracer: Tracer,
     positions: Float[np.ndarray, "p 3"],
-    face_normals: Float[np.ndarray, "p 3"],
+    origins: Float[np.ndarray, "p 3"],
     normals: Float[np.ndarray, "p 3"],
     radius: float,
     least: int = 0,
@@ -75,17 +75,16 @@ def surface_points(
     Args:
         tracer: of the scene.
         positions: in scene space, on the surfaces.
-        face_normals: unit normals along which the origins of rays are lifted.
+        origins: of rays, lifted off the surfaces.
         normals: unit shading normals, or zeros for points that nothing lights.
         radius: the length of scene space's unit in the world.
         least: the smallest number of points with padding.
     """
     length = bucket(max(len(positions), least), 1024)
-    lifted = positions + OFFSET * face_normals
-    origins, scaled, shading = jax.device_put(
-        tuple(filled_up(np.asarray(rows), length) for rows in (lifted, positions * radius, normals))
+    starts, scaled, shading = jax.device_put(
+        tuple(filled_up(np.asarray(rows), length) for rows in (origins, positions * radius, normals))
     )
-    return SurfacePoints(origins, scaled, shading, as_array(radius, np.float32), tracer)
+    return SurfacePoints(starts, scaled, shading, as_array(radius, np.float32), tracer)
 
 
 class LightGroup(eqx.Module):

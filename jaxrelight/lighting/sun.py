@@ -13,7 +13,6 @@ from jaxrelight.basis import cubemap
 from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.geometry.frame import tangent_frame
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lighting.shadows import remembered_by
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
@@ -91,9 +90,8 @@ def _visible(transport: PrecomputedTransport, block: Block, directions: Float[np
     columns = {key: bits for key in keys if (bits := remembered.get(key)) is not None}
     missing = [number for number, key in enumerate(keys) if key not in columns]
     if missing:
-        arrays = receivers.positions[groups], receivers.face_normals[groups], receivers.normals[groups]
-        positions, face_normals, normals = (array.reshape(-1, 3) for array in arrays)
-        origins = np.asarray(positions + OFFSET * face_normals, np.float32)
+        origins, normals = receivers.origins[groups].reshape(-1, 3), receivers.normals[groups].reshape(-1, 3)
+        origins = np.asarray(origins, np.float32)
 
         def towards(number):
             visible = normals @ directions[number] > 0

@@ -20,6 +20,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
+from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.lighting.pixels import SurfacePixels, assembled, padded, places
 from jaxrelight.lighting.shadows import SurfacePoints, surface_points
 from jaxrelight.lights.environment import Environment
@@ -268,7 +269,7 @@ def trace_view(
     points = surface_points(
         geometry.tracer,
         gbuffer.positions[pixel_order],
-        gbuffer.face_normals[pixel_order],
+        ray_origins(surfaces, geometry.tracer, gbuffer)[pixel_order],
         gbuffer.normals[pixel_order],
         surfaces.radius,
         end,

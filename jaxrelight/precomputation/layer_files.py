@@ -70,6 +70,7 @@ def write_geometry(folder: pathlib.Path, surfaces: Surfaces) -> store.Layer:
             "mesh_of_vertex": surfaces.mesh_of_vertex,
             "two_sided": surfaces.two_sided,
             "uv_tangents": surfaces.uv_tangents,
+            "pure_normals": surfaces.pure_normals,
             "placement": np.array([*surfaces.centre, surfaces.radius]),
         },
     )

@@ -133,8 +133,7 @@ def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, dire
     rays = []
 
     def trace(group: int) -> None:
-        arrays = receivers.positions[group], receivers.normals[group], receivers.face_normals[group]
-        bits, count = trace_visibility(tracer, *arrays, directions)
+        bits, count = trace_visibility(tracer, receivers.origins[group], receivers.normals[group], directions)
         layer.write(group, bits=bits)
         rays.append(count)
 

@@ -28,6 +28,7 @@ from jaxrelight.gather.gather_cloud import GatherCloud, cloud_receivers
 from jaxrelight.gather.lit_cloud import LitCloud
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import GBuffer
+from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
@@ -326,7 +327,7 @@ def _read_geometry(layer: store.Layer) -> Surfaces:
     placement = layer.read("placement", 0)
     return Surfaces(
         *(layer.read(name, 0) for name in ("vertices", "normals", "faces", "uv", "mesh_of_vertex")),
-        *(layer.read(name, 0) for name in ("two_sided", "uv_tangents")),
+        *(layer.read(name, 0) for name in ("two_sided", "uv_tangents", "pure_normals")),
         centre=placement[:3],
         radius=float(placement[3]),
     )
@@ -347,7 +348,7 @@ def receivers_of(
     if method.receivers == "vertices":
         return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh), None
     seen = see(surfaces, tracer, camera, normal_maps)
-    return pixel_receivers(seen, material_of_mesh), seen
+    return pixel_receivers(seen, ray_origins(surfaces, tracer, seen), material_of_mesh), seen
 
 
 def read_factors(layer: store.Layer) -> Factored:

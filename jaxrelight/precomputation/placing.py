@@ -228,7 +228,7 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
 def geometry_keys(scene: Scene, surfaces: Surfaces) -> tuple[str, str]:
     """The key of all that rays depend on, and that of the geometry with its texture coordinates, which none does."""
     shapes = [[part.mesh.vertices, part.mesh.faces, part.mesh.normals] for part in scene.parts]
-    key = store.key_of(shapes, surfaces.two_sided)
+    key = store.key_of(shapes, surfaces.two_sided, surfaces.pure_normals)
     return key, store.key_of(key, surfaces.uv, surfaces.uv_tangents)
 
 

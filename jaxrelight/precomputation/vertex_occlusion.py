@@ -61,8 +61,7 @@ def vertex_occlusion(
     frames = frames_of(receivers, np.arange(groups)).astype(np.float32)
 
     def make(group: int) -> None:
-        arrays = receivers.positions[group], receivers.normals[group], receivers.face_normals[group]
-        bits, _ = trace_visibility(tracer, *arrays, vectors)
+        bits, _ = trace_visibility(tracer, receivers.origins[group], receivers.normals[group], vectors)
         codes[group] = np.asarray(visibility_distances(bits, frames[group], directions))
 
     done = 0

@@ -189,6 +189,9 @@ def _placed(table: Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshP
     tangents = table.text("tangents", "normal")
     if tangents not in ("normal", "uv"):
         raise InputError(f'\'tangents\' is "normal" or "uv", not {tangents!r}')
+    normals = table.text("shading_normals", "corrected")
+    if normals not in ("corrected", "pure"):
+        raise InputError(f'\'shading_normals\' is "corrected" or "pure", not {normals!r}')
     size = table.number("normalize") if table.has("normalize") else None
     matrix = table.array("transform", (4, 4)) if table.has("transform") else None
     max_edge = table.number("max_edge") if table.has("max_edge") else None
@@ -201,7 +204,7 @@ def _placed(table: Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshP
         mesh = mesh if size is None else meshes.normalized(mesh, size, frame)
         mesh = mesh if matrix is None else meshes.transformed(mesh, matrix)
         mesh = mesh if max_edge is None else subdivided(mesh, max_edge)
-        mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv")
+        mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv", pure_normals=normals == "pure")
         if two_sided is not None:
             mesh = meshes.with_back(mesh) if two_sided else dataclasses.replace(mesh, two_sided=False)
         placed.append(dataclasses.replace(part, mesh=mesh))

@@ -25,7 +25,6 @@ from jaxrelight.gather.gathered import Gathered
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
-from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import filled_up
 from jaxrelight.operators.clustered import Cluster, Clustered
@@ -173,12 +172,10 @@ class Gather:
 
     def hits(self, receivers: Receivers, group: int) -> Hits:
         """Rays through the centres of the texels above each receiver's horizon."""
-        arrays = receivers.positions[group], receivers.face_normals[group], receivers.normals[group]
-        positions, face_normals, normals = arrays
         directions = cubemap.directions(self.resolution)
-        receiver, texel = np.nonzero(normals @ directions.T > 0)
+        receiver, texel = np.nonzero(receivers.normals[group] @ directions.T > 0)
         transport = self._transport
-        origins = (positions + OFFSET * face_normals)[receiver]
+        origins = receivers.origins[group][receiver]
         solid_angles = cubemap.solid_angles(self.resolution)[texel]
         points = trace_points(transport.surfaces, transport.tracer, origins, directions[texel], solid_angles)
         return Hits(receiver[points.covered], texel[points.covered], points)

@@ -80,9 +80,10 @@ class SceneGeometry(ByKey):
     def key(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The key of the geometry and its materials' names."""
         surfaces, maps = self.surfaces, (np.asarray(one.pixels) if one else None for one in self.normal_maps)
-        arrays = surfaces.normals, surfaces.uv, surfaces.mesh_of_vertex, surfaces.two_sided, surfaces.uv_tangents
+        arrays = surfaces.normals, surfaces.uv, surfaces.mesh_of_vertex
+        of_meshes = surfaces.two_sided, surfaces.uv_tangents, surfaces.pure_normals
         placement = [*surfaces.centre.tolist(), surfaces.radius]
-        return store.key_of(self.tracer.key, *arrays, placement, list(self.material_of_mesh), *maps)
+        return store.key_of(self.tracer.key, *arrays, *of_meshes, placement, list(self.material_of_mesh), *maps)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -3,24 +3,23 @@
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxrelight.geometry.tracer import OFFSET, Tracer
+from jaxrelight.geometry.tracer import Tracer
 
 
 def trace_visibility(
     tracer: Tracer,
-    positions: Float[np.ndarray, "m 3"],
+    origins: Float[np.ndarray, "m 3"],
     normals: Float[np.ndarray, "m 3"],
-    face_normals: Float[np.ndarray, "m 3"],
     directions: Float[np.ndarray, "d 3"],
 ) -> tuple[UInt8[np.ndarray, "m bytes"], int]:
     """Bits, eight directions a byte, the first one lowest: 1 where the environment is seen above the surface.
 
-    Only directions above the shading normal are traced; all others are 0. Positions are in scene space and are lifted
-    along the face normals here. Also returns the number of rays.
+    Only directions above the shading normal are traced; all others are 0. Origins are in scene space, lifted off the
+    surface. Also returns the number of rays.
     """
     directions = np.ascontiguousarray(directions, np.float32)
     by_axis = np.ascontiguousarray(directions.T)
-    origins = np.asarray(positions + OFFSET * face_normals, np.float32)
+    origins = np.asarray(origins, np.float32)
     bits = np.zeros((len(origins), len(directions) // 8), np.uint8)
     visible, rays_traced = np.zeros(len(directions), bool), 0
     # One receiver at a time: its rays stay in cache, and start where the last ones did.

@@ -203,7 +203,7 @@ def _whole_rows(scene, terms: int, chosen):
 
     def rows():
         for group, frames in zip(groups, frames_of(receivers, groups), strict=True):
-            points = receivers.positions[group], receivers.normals[group], receivers.face_normals[group]
+            points = receivers.origins[group], receivers.normals[group]
             bits = jnp.asarray(trace_visibility(tracer, *points, cubemap.directions(RESOLUTION))[0])
             baked = np.asarray(bake.bake_rows(bits, frames, reflection, directions, basis))
             yield baked.reshape(-1, *baked.shape[2:])

@@ -101,7 +101,9 @@ class Subset:
         surfaces = join([part.mesh for part in scene.parts])
         tracer = Tracer(surfaces)
         gbuffer = trace_gbuffer(surfaces, tracer, scene.camera)
-        _, points = draw_points(surfaces, gbuffer, np.flatnonzero((gbuffer.mesh == 0) & ~gbuffer.back), count, seed)
+        _, points = draw_points(
+            surfaces, tracer, gbuffer, np.flatnonzero((gbuffer.mesh == 0) & ~gbuffer.back), count, seed
+        )
         return cls(tracer=tracer, **points)
 
 
@@ -205,7 +207,7 @@ class Product:
         count = len(frames)
         nothing = jnp.zeros((count, 2)), jnp.zeros(count)
         pixels = SurfacePixels(jnp.arange(count), *nothing, jnp.asarray(omega_o), jnp.asarray(frames))
-        arrays = at.positions, at.face_normals, at.normals
+        arrays = at.positions, at.origins, at.normals
         points = surface_points(self.subset.tracer, *arrays, 1.0)  # pyright: ignore[reportArgumentType]
         return np.asarray(traced_shares(_phong(exponent), pixels, points, 0, RAYS, narrower))
 

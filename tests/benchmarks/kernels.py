@@ -69,13 +69,13 @@ def visibility(report: Report, groups: int, runs: int):
     tracer, receivers = Tracer(surfaces), vertex_receivers(surfaces, np.arange(len(scene.parts)))
     directions = cubemap.directions(64)
     chosen = np.linspace(0, len(receivers.filled) - 1, groups).astype(int)
-    arrays = [values[chosen] for values in (receivers.positions, receivers.normals, receivers.face_normals)]
+    arrays = [values[chosen] for values in (receivers.origins, receivers.normals)]
     rays = prepare_rays(tracer, [values.reshape(-1, 3) for values in arrays], 64)
     counted = []
 
     def trace(i: int):
-        positions, normals, face_normals = (values[i] for values in arrays)
-        counted.append(trace_visibility(tracer, positions, normals, face_normals, directions)[1])
+        origins, normals = (values[i] for values in arrays)
+        counted.append(trace_visibility(tracer, origins, normals, directions)[1])
 
     size = rays.count / len(rays.receiver_ends)
     ways = {

@@ -172,14 +172,13 @@ class Rays:
 def prepare_rays(tracer, points: Sequence[np.ndarray], resolution: int) -> Rays:
     """The rays that the visibility stage traces at a cube-map resolution.
 
-    Receivers are given by positions, normals and face normals, each [m, 3].
+    Receivers are given by origins of rays and normals, each [m, 3].
     """
     from jaxrelight.basis import cubemap
-    from jaxrelight.geometry.tracer import OFFSET
 
-    positions, normals, face_normals = points
+    origins, normals = points
     vectors = cubemap.directions(resolution).astype(np.float32)
-    lifted = np.asarray(positions + OFFSET * face_normals, np.float32)
+    lifted = np.asarray(origins, np.float32)
     by_axis = np.ascontiguousarray(vectors.T)  # as the stage has them, so that the same few are rounded to 0
     above = [np.flatnonzero(normal @ by_axis > 0) for normal in np.asarray(normals, np.float32)]
     counts = np.array([len(rays) for rays in above])
@@ -197,7 +196,7 @@ def scene_rays(path: pathlib.Path, resolution: int = 64, receivers: int = 256, s
     surfaces = join([part.mesh for part in jaxrelight.load_scene(path).parts])
     every = vertex_receivers(surfaces, np.zeros(int(surfaces.mesh_of_vertex.max()) + 1, int))
     chosen = np.sort(np.random.default_rng(seed).choice(every.slot_of, receivers, replace=False))
-    points = [values.reshape(-1, 3)[chosen] for values in (every.positions, every.normals, every.face_normals)]
+    points = [values.reshape(-1, 3)[chosen] for values in (every.origins, every.normals)]
     return prepare_rays(Tracer(surfaces), points, resolution)
 
 

@@ -117,7 +117,7 @@ def bake(name: str, material: str, count: int, lights) -> Patch:
     tracer, view_side = Tracer(surfaces), jax.jit(jax.vmap(reflection.view_side))
     indices, values, view, exact = [], [], [], {key: [] for key in lights}
     for group, frames in zip(chosen, frames_of(receivers, chosen), strict=True):
-        points = receivers.positions[group], receivers.normals[group], receivers.face_normals[group]
+        points = receivers.origins[group], receivers.normals[group]
         bits = jnp.asarray(trace_visibility(tracer, *points, cubemap.directions(RESOLUTION))[0])
         kept = baking.bake_truncated(bits, frames, reflection, directions, basis, KEPT)
         indices.append(np.asarray(kept.indices, np.uint16).reshape(-1, KEPT))

@@ -51,7 +51,7 @@ class Points:
 
     positions: np.ndarray
     normals: np.ndarray
-    face_normals: np.ndarray
+    origins: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Subset:
         gbuffer = trace_gbuffer(surfaces, tracer, scene.camera)
         shown = np.array([part.material == MATERIAL for part in scene.parts])[gbuffer.mesh]
         whole = reference[gbuffer.covered][:, 3] > 0.999
-        chosen, points = draw_points(surfaces, gbuffer, np.flatnonzero(shown & whole), count, seed)
+        chosen, points = draw_points(surfaces, tracer, gbuffer, np.flatnonzero(shown & whole), count, seed)
         return cls(
             scene=scene,
             tracer=tracer,
@@ -93,10 +93,14 @@ class Subset:
         )
 
 
-def draw_points(surfaces, gbuffer, candidates: np.ndarray, count: int, seed: int) -> tuple[np.ndarray, dict[str, Any]]:
+def draw_points(
+    surfaces, tracer, gbuffer, candidates: np.ndarray, count: int, seed: int
+) -> tuple[np.ndarray, dict[str, Any]]:
     """Some pixels of a G-buffer, without repetition, and the vertices of the faces they show, as `Subset` has them."""
+    from jaxrelight.geometry.ray_origins import ray_origins
     from jaxrelight.geometry.receivers import vertex_receivers
 
+    origins = ray_origins(surfaces, tracer, gbuffer)
     chosen = np.sort(np.random.default_rng(seed).choice(candidates, count, replace=False))
     vertices, corners = np.unique(gbuffer.corners[chosen], return_inverse=True)
     every = vertex_receivers(surfaces, np.zeros(int(surfaces.mesh_of_vertex.max()) + 1, int))
@@ -106,9 +110,9 @@ def draw_points(surfaces, gbuffer, candidates: np.ndarray, count: int, seed: int
         return values.reshape(-1, 3)[slots]
 
     return chosen, {
-        "pixels": Points(gbuffer.positions[chosen], gbuffer.normals[chosen], gbuffer.face_normals[chosen]),
+        "pixels": Points(gbuffer.positions[chosen], gbuffer.normals[chosen], origins[chosen]),
         "omega_o": gbuffer.omega_o[chosen],
-        "vertices": Points(at_vertices(every.positions), at_vertices(every.normals), at_vertices(every.face_normals)),
+        "vertices": Points(at_vertices(every.positions), at_vertices(every.normals), at_vertices(every.origins)),
         "corners": corners.reshape(-1, 3),
         "weights": gbuffer.barycentric[chosen],
     }
@@ -128,9 +132,8 @@ class Baked:
         self.count = len(points.positions)
         # The last group is filled up with copies, so that all are of one shape.
         member = np.minimum(np.arange(-(-self.count // GROUP) * GROUP), self.count - 1)
-        arrays = [values[member] for values in (points.positions, points.normals, points.face_normals)]
-        positions, normals, face_normals = arrays
-        self.bits, _ = trace_visibility(tracer, positions, normals, face_normals, cubemap.directions(resolution))
+        normals = points.normals[member]
+        self.bits, _ = trace_visibility(tracer, points.origins[member], normals, cubemap.directions(resolution))
         self.frames = tangent_frame(jnp.asarray(normals, jnp.float32))
         self.directions = directions_for(resolution)
         self.member = member

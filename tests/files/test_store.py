@@ -332,13 +332,13 @@ def test_header_round_trip(tmp_path):
     [
         (None, "not a store, or its precomputation was not finished; run precompute"),
         (b"", "damaged; run precompute again"),
-        (b'{"format": 6, "sce', "damaged; run precompute again"),
-        (b'{"format": 6, "scene": "x"}', "damaged; run precompute again"),
+        (b'{"format": 7, "sce', "damaged; run precompute again"),
+        (b'{"format": 7, "scene": "x"}', "damaged; run precompute again"),
         (b"\xff\xfe\x00", "damaged; run precompute again"),
         (b"[1]", "damaged; run precompute again"),
-        (b"{}", "format None is not format 6"),
-        (b'{"format": 5}', "format 5 is not format 6"),
-        (b'{"format": 7}', "format 7 is not format 6"),
+        (b"{}", "format None is not format 7"),
+        (b'{"format": 6}', "format 6 is not format 7"),
+        (b'{"format": 8}', "format 8 is not format 7"),
     ],
 )
 def test_bad_header_is_refused(tmp_path, content, message: str):

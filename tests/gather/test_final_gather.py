@@ -31,7 +31,8 @@ def upwards(positions) -> Receivers:
     positions = np.asarray(positions, float)[None]
     up, none = np.broadcast_to([0.0, 1, 0], positions.shape), np.zeros_like(positions)
     filled = np.array([positions.shape[1]])
-    return Receivers(positions, up, up, none, None, None, None, np.zeros(1, int), filled, np.arange(positions.shape[1]))
+    places = positions, up, up, positions + OFFSET * up, none, None, None, None
+    return Receivers(*places, np.zeros(1, int), filled, np.arange(positions.shape[1]))
 
 
 def gathered(surfaces, count: int, positions, light=None, **dials) -> np.ndarray:

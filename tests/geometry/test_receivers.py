@@ -8,9 +8,10 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.mesh import Mesh, transformed
 from jaxrelight.geometry.primitives import box, plane, sphere
+from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.surfaces import join
-from jaxrelight.geometry.tracer import OFFSET, Tracer
+from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.transport.visibility import trace_visibility
 from tests.scenes import inside_out
 
@@ -73,9 +74,7 @@ def test_no_ray_from_a_rim_passes_between_walls():
     surfaces = join([inside_out(room)])
     receivers = vertex_receivers(surfaces, np.array([0]))
     directions = cubemap.directions(16)
-    bits, _ = trace_visibility(
-        Tracer(surfaces), receivers.positions[0], receivers.normals[0], receivers.face_normals[0], directions
-    )
+    bits, _ = trace_visibility(Tracer(surfaces), receivers.origins[0], receivers.normals[0], directions)
     assert not bits.any()
 
 
@@ -85,7 +84,7 @@ def test_only_rims_are_moved():
     distance = np.linalg.norm(moved.positions.reshape(-1, 3)[moved.slot_of] - surfaces.vertices, axis=1)
     rim = np.abs(surfaces.vertices).max(axis=1) == 1
     assert not distance[~rim].any()
-    np.testing.assert_allclose(distance[rim], 2 * OFFSET)
+    np.testing.assert_allclose(distance[rim], 4 * surfaces.vertex_lift[rim])
 
 
 @pytest.mark.parametrize("resolution", [1, 10])
@@ -98,7 +97,9 @@ def test_a_group_is_never_empty_nor_over_full(resolution):
 
 def test_pixels_are_grouped_by_what_they_show(surfaces):
     gbuffer = trace_gbuffer(surfaces, Tracer(surfaces), Camera((0, 1, 4), (0, 0.4, 0), width=24, height=24))
-    receivers = pixel_receivers(gbuffer, MATERIALS)
+    origins = ray_origins(surfaces, Tracer(surfaces), gbuffer)
+    receivers = pixel_receivers(gbuffer, origins, MATERIALS)
+    np.testing.assert_array_equal(receivers.origins.reshape(-1, 3)[receivers.slot_of], origins)
     check_grouping(receivers, gbuffer.positions, gbuffer.normals, MATERIALS[gbuffer.mesh])
     assert receivers.omega_o is not None
     np.testing.assert_array_equal(receivers.omega_o.reshape(-1, 3)[receivers.slot_of], gbuffer.omega_o)
@@ -107,7 +108,7 @@ def test_pixels_are_grouped_by_what_they_show(surfaces):
 
 def test_no_pixels_make_no_groups(surfaces):
     gbuffer = trace_gbuffer(surfaces, Tracer(surfaces), Camera((0, 5, 0), (0, 9, 0), (0, 0, 1), width=4, height=4))
-    receivers = pixel_receivers(gbuffer, MATERIALS)
+    receivers = pixel_receivers(gbuffer, np.zeros((0, 3)), MATERIALS)
     assert receivers.count == len(receivers.filled) == 0
     assert receivers.positions.shape == (0, GROUP, 3)
 

@@ -8,7 +8,7 @@ from jaxtyping import Array
 
 import jaxrelight as jr
 from jaxrelight.geometry.surfaces import join
-from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.lighting import shadows as module
 from jaxrelight.lighting.shadows import SurfacePoints, all_visible, group_lights, surface_points, trace_visibility
 from jaxrelight.lights.area import area
@@ -76,7 +76,8 @@ def floor() -> tuple[SurfacePoints, Counting]:
     places = random.uniform(-1, 1, (COUNT, 3)) * [1, 0, 1] - [0, 0.3, 0]
     normals = np.where(np.arange(COUNT)[:, None] % 2, UP, -UP)
     tracer = Counting(Tracer(surfaces))
-    given = surfaces.to_scene(places), np.tile(UP, (COUNT, 1)), normals, surfaces.radius
+    positions = surfaces.to_scene(places)
+    given = positions, positions + OFFSET * UP, normals, surfaces.radius
     return surface_points(tracer, *given), tracer  # pyright: ignore[reportArgumentType]
 
 

@@ -20,7 +20,7 @@ def trace(surfaces: Surfaces, positions, normals, face_normals=None) -> tuple[np
     """Visibility [m, d] as booleans, and the number of rays."""
     positions, normals = np.atleast_2d(positions).astype(float), np.atleast_2d(normals).astype(float)
     face_normals = normals if face_normals is None else face_normals
-    bits, rays = trace_visibility(Tracer(surfaces), positions, normals, face_normals, DIRECTIONS)
+    bits, rays = trace_visibility(Tracer(surfaces), positions + OFFSET * face_normals, normals, DIRECTIONS)
     assert bits.shape == (len(positions), 6 * N * N // 8)
     assert bits.dtype == np.uint8
     return np.unpackbits(bits, axis=-1, bitorder="little").astype(bool), rays
@@ -110,9 +110,8 @@ def test_a_normal_without_direction_sees_nothing_and_traces_nothing():
 def test_first_direction_is_the_lowest_bit():
     """As `bake.unpack` reads it."""
     surfaces = join([plane((2, 2), 1)])
-    bits, _ = trace_visibility(
-        Tracer(surfaces), np.zeros((1, 3)), np.array([[0.0, 1, 0]]), np.array([[0.0, 1, 0]]), DIRECTIONS
-    )
+    up = np.array([[0.0, 1, 0]])
+    bits, _ = trace_visibility(Tracer(surfaces), OFFSET * up, up, DIRECTIONS)
     np.testing.assert_array_equal(unpack(jnp.asarray(bits), jnp.float32)[0], DIRECTIONS[:, 1] > 0)
     np.testing.assert_array_equal(unpack(jnp.asarray([1, 128], jnp.uint8), jnp.float32), np.eye(16)[0] + np.eye(16)[15])
 
