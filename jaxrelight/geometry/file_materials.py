@@ -2,11 +2,32 @@
 
 import dataclasses
 import pathlib
+from typing import Literal
 
 import numpy as np
 
 # An image file, or the bytes of one.
-Picture = pathlib.Path | bytes
+PictureSource = pathlib.Path | bytes
+# What is beyond the edges of an image, to the left and right, and above and below.
+Wrap = Literal["repeat", "clamp", "mirror"]
+
+
+@dataclasses.dataclass(frozen=True)
+class FilePicture:
+    """An image and how a file puts it on a surface.
+
+    Attributes:
+        source: the image.
+        uv_set: number of the set of texture coordinates that it follows, counted from 0.
+        placement: the rows of the 2×3 matrix that takes (u, v, 1), v upwards, to the place in the image; None where it
+            is (u, v) itself..
+        wrap: what is beyond the edges, along u and along v.
+    """
+
+    source: PictureSource
+    uv_set: int = 0
+    placement: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
 
 @dataclasses.dataclass
@@ -20,6 +41,11 @@ class FileMaterial:
         diffuse_picture: sRGB colours.
         specular_picture: sRGB colours.
         normal_picture: tangent-space normals as (n + 1)/2.
+        normal_scale: what multiplies x and y of the normals before they are of unit length.
+        emission: linear radiance in all directions; may exceed 1.
+        emission_picture: sRGB colours that multiply it, or None.
+        tints_specular: whether the colours of vertices multiply the specular colour, too, as they do on metals. They
+            always multiply the diffuse colour.
         two_sided: whether the back is a surface, too.
         notes: what was approximated or left out.
     """
@@ -27,9 +53,13 @@ class FileMaterial:
     diffuse: tuple[float, float, float] = (0.5, 0.5, 0.5)
     specular: tuple[float, float, float] = (0.0, 0.0, 0.0)
     exponent: float = 0.0
-    diffuse_picture: Picture | None = None
-    specular_picture: Picture | None = None
-    normal_picture: Picture | None = None
+    diffuse_picture: FilePicture | None = None
+    specular_picture: FilePicture | None = None
+    normal_picture: FilePicture | None = None
+    normal_scale: float = 1.0
+    emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emission_picture: FilePicture | None = None
+    tints_specular: bool = False
     two_sided: bool = False
     notes: list[str] = dataclasses.field(default_factory=list)
 
@@ -56,7 +86,7 @@ def read_mtl(text: str, folder: pathlib.Path) -> dict[str, FileMaterial]:
                 material.exponent = min(max(_finite(arguments[0]), 0.0), 1e5)
             elif key in ("map_kd", "map_ks", "norm"):
                 name = {"map_kd": "diffuse_picture", "map_ks": "specular_picture", "norm": "normal_picture"}[key]
-                setattr(material, name, folder / _file_name(arguments, material.notes))
+                setattr(material, name, FilePicture(folder / _file_name(arguments, material.notes)))
             elif key in ("map_bump", "bump", "disp"):
                 material.notes.append("bump and displacement maps are left out; give a normal_map")
             elif (
@@ -108,7 +138,7 @@ def _is_setting(word: str) -> bool:
 
 
 def metallic_roughness(
-    base: tuple[float, float, float], metallic: float, roughness: float, picture: Picture | None
+    base: tuple[float, float, float], metallic: float, roughness: float, picture: FilePicture | None
 ) -> FileMaterial:
     """A Phong material in place of glTF's microfacets.
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.file_materials import FileMaterial, Picture, metallic_roughness
+from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, metallic_roughness
 from jaxrelight.geometry.raw_mesh import FilePart, RawMesh
 
 _NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -246,7 +246,7 @@ class _Reader:
         material.notes += notes
         return material
 
-    def _picture(self, texture, notes: list[str]) -> Picture | None:
+    def _picture(self, texture, notes: list[str]) -> FilePicture | None:
         if texture is None:
             return None
         if "KHR_texture_transform" in texture.get("extensions", {}):
@@ -262,10 +262,10 @@ class _Reader:
         image = self.json["images"][entry["source"]]
         if "uri" in image:
             uri = str(image["uri"])
-            return self._bytes(uri) if uri.startswith("data:") else self.folder / uri
+            return FilePicture(self._bytes(uri) if uri.startswith("data:") else self.folder / uri)
         view = self.json["bufferViews"][image["bufferView"]]
         start = view.get("byteOffset", 0)
-        return self.buffers[view["buffer"]][start : start + view["byteLength"]]
+        return FilePicture(self.buffers[view["buffer"]][start : start + view["byteLength"]])
 
 
 def _matrix(node) -> Float[np.ndarray, "4 4"]:

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import ArrayLike, Float, Int
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.file_materials import FileMaterial
@@ -29,21 +29,23 @@ class Mesh:
         faces: vertex numbers, counter-clockwise seen from the front.
         normals: unit shading normals.
         notes: one line for each repair made while reading, and for each doubt left.
-        uv: texture coordinates, u rightwards and v upwards, repeating beyond 0 … 1; None where there are none.
+        uv: texture coordinates, u rightwards and v upwards, two columns for each set; None where there are none.
         two_sided: whether the back is a surface like the front; else it is black.
-        uv_tangents: whether tangent frames follow u instead of Wang 2006 §3.3.2.
+        uv_tangents: whether tangent frames follow u of the first set instead of Wang 2006 §3.3.2.
         pure_normals: whether shading normals are taken as they are. Else those that face away from the eye are turned
             to it, and rays start on the smooth surface that the normals stand for, see `ray_origins`.
+        colours: linear colours of the vertices, 0 … 1, which `VertexColours` in a material reads; None for none.
     """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     normals: Float[np.ndarray, "v 3"]
     notes: tuple[str, ...] = ()
-    uv: Float[np.ndarray, "v 2"] | None = None
+    uv: Float[np.ndarray, "v u"] | None = None
     two_sided: bool = False
     uv_tangents: bool = False
     pure_normals: bool = False
+    colours: Float[np.ndarray, "v 3"] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,30 +56,32 @@ class MeshPart:
         mesh: those faces.
         name: the material's.
         material: what the file says of it, if anything.
+        uv_sets: numbers of the sets of texture coordinates that the file has for them.
     """
 
     mesh: Mesh
     name: str
     material: FileMaterial | None
+    uv_sets: tuple[int, ...] = ()
 
 
 def load_mesh(path: str | pathlib.Path) -> Mesh:
     """Reads a PLY, OBJ, STL, GLB or glTF file as one mesh and repairs what can be repaired without guessing.
 
-    Identical vertices (equal position, and equal texture coordinate and normal where the file has them) become one.
+    Identical vertices (equal position, and equal texture coordinates, colour and normal where the file has them) become
+    one.
     Normals are the file's, else the mean of the adjacent faces' weighted by their angles. Faces without area, with
     vertices that are missing or not finite, and repeated faces are dropped; winding is made consistent along shared
     edges. Every such change is one line of `notes`. A face and the same face seen from behind are a two-sided sheet,
-    not a repetition.
+    not a repetition. What the file says of materials does not count, and neither do the colours of its vertices.
 
     Raises:
         InputError: the file is missing, cut short, malformed, or more than half of its faces are unusable.
     """
     raw, good = _load(path)
-    uv, missing, part = raw.uv[good.source], _missing_uv(raw.uv[good.source]), raw.part[good.source]
-    partly = np.flatnonzero(np.bincount(part, ~missing) * np.bincount(part, missing))
-    notes = [_uv_note(missing[part == number]) for number in partly]
-    uv = None if missing.all() else np.where(missing[:, None], 0, uv)
+    part = raw.part[good.source]
+    uv, _, _ = _coordinates(raw.uv[good.source])
+    notes = [note for number in np.unique(part) for note in _coordinates(raw.uv[good.source[part == number]])[2]]
     return Mesh(good.vertices, good.faces, good.normals, (*good.notes, *notes), uv)
 
 
@@ -97,20 +101,21 @@ def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
             continue
         place = np.zeros(len(part_of_vertex), np.int64)
         place[part_vertices] = np.arange(len(part_vertices))
-        uv = raw.uv[good.source[part_vertices]]
-        missing = _missing_uv(uv)
-        uv = None if missing.all() else np.where(missing[:, None], 0, uv)
-        notes = list(good.notes if not parts else ())
-        notes += [f"{part.name}: {_uv_note(missing)}"] if missing.any() and uv is not None else []
+        uv, uv_sets, doubts = _coordinates(raw.uv[good.source[part_vertices]])
+        colours, clamped = _colours(raw, good.source[part_vertices])
+        notes = [*(good.notes if not parts else ()), *(f"{part.name}: {doubt}" for doubt in (*doubts, *clamped))]
         mesh = Mesh(
             good.vertices[part_vertices],
             place[good.faces[part_of_face == number]],
             good.normals[part_vertices],
             tuple(notes),
             uv,
+            colours=colours,
         )
-        two_sided = part.material is not None and part.material.two_sided
-        parts.append(MeshPart(with_back(mesh) if two_sided else mesh, part.name, part.material))
+        # Vertex colours alone are the colours of the surface.
+        material = FileMaterial((1.0, 1.0, 1.0)) if part.material is None and colours is not None else part.material
+        two_sided = material is not None and material.two_sided
+        parts.append(MeshPart(with_back(mesh) if two_sided else mesh, part.name, material, uv_sets))
     return parts
 
 
@@ -143,12 +148,34 @@ def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:
         raise InputError(_line(f"{path}: damaged or no {name} file ({reason}); export it again")) from fault
 
 
-def _missing_uv(uv: Float[np.ndarray, "v 2"]) -> Bool[np.ndarray, " v"]:
-    return np.logical_not(np.abs(uv).max(axis=1) <= _FARTHEST_UV)  # true for NaN
+def _coordinates(uv: Float[np.ndarray, "v u"]) -> tuple[Float[np.ndarray, "v w"] | None, tuple[int, ...], list[str]]:
+    """Texture coordinates without gaps, the numbers of the sets that are there, and where one has gaps.
+
+    Sets after the last one that is there are left out; there may be none.
+    """
+    sets = uv.reshape(len(uv), -1, 2)
+    missing = np.logical_not(np.abs(sets).max(axis=2) <= _FARTHEST_UV)  # true for NaN
+    there = np.flatnonzero(~missing.all(axis=0))
+    if not len(there):
+        return None, (), []
+    gaps, total = missing.sum(axis=0), f"of {len(uv):,} vertices; (0, 0) is taken"
+    notes = [f"texture coordinates are missing at {gaps[number]:,} {total}" for number in there if gaps[number]]
+    filled = np.where(missing[:, :, None], 0, sets)[:, : there[-1] + 1]
+    return filled.reshape(len(uv), -1), tuple(there.tolist()), notes
 
 
-def _uv_note(missing: Bool[np.ndarray, " v"]) -> str:
-    return f"texture coordinates are missing at {missing.sum():,} of {len(missing):,} vertices; (0, 0) is taken"
+def _colours(raw: RawMesh, source: Int[np.ndarray, " v"]) -> tuple[Float[np.ndarray, "v 3"] | None, list[str]]:
+    """The colours of some of a file's vertices, from 0 to 1; white where a vertex has none. None where none has any."""
+    if raw.colours is None:
+        return None, []
+    colours = raw.colours[source]
+    usable = np.isfinite(colours).all(axis=1)
+    if not usable.any():
+        return None, []
+    colours = np.where(usable[:, None], colours, 1.0)
+    outside = ((colours < 0) | (colours > 1)).any(axis=1)
+    notes = [f"colours of {outside.sum():,} vertices are clamped to 0 … 1"] if outside.any() else []
+    return np.clip(colours, 0.0, 1.0), notes
 
 
 def bounds(mesh: Mesh) -> Float[np.ndarray, "2 3"]:

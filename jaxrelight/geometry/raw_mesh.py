@@ -25,19 +25,22 @@ class RawMesh:
         faces: triangles, possibly with vertex numbers out of range.
         normals: the file's normals, as written.
         stated: which vertices have a normal in the file.
-        uv: texture coordinates, v upwards; NaN where the file has none.
+        uv: texture coordinates, v upwards, two columns for each set; NaN where the file has none.
         part: of each vertex; vertices of different parts stay apart.
         parts: what they are.
         lost: faces already given up, counted by reason.
         notes: what the reader had to guess.
+        colours: of vertices, linear, 0 … 1; NaN at vertices that have none, and None where the file has none. They
+            multiply the diffuse colour of the part's `FileMaterial`, or stand for it where the part has no material.
     """
 
     vertices: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
     normals: Float[np.ndarray, "v 3"]
     stated: Bool[np.ndarray, " v"]
-    uv: Float[np.ndarray, "v 2"]
+    uv: Float[np.ndarray, "v u"]
     part: Int[np.ndarray, " v"]
     parts: list[FilePart]
     lost: dict[str, int] = dataclasses.field(default_factory=dict)
     notes: list[str] = dataclasses.field(default_factory=list)
+    colours: Float[np.ndarray, "v 3"] | None = None

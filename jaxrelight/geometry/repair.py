@@ -38,7 +38,7 @@ class Repaired(NamedTuple):
 def repaired(raw: RawMesh) -> Repaired:
     """Drops unusable faces, merges identical vertices, orients faces alike and completes the normals.
 
-    Vertices that differ in nothing but texture coordinates share the normal that is computed for them.
+    Vertices that differ in nothing but texture coordinates and colours share the normal that is computed for them.
 
     Raises:
         InputError: no face, or more than half of the faces unusable.
@@ -72,7 +72,8 @@ def repaired(raw: RawMesh) -> Repaired:
         notes.append(f"dropped {len(referenced) - len(used):,} vertices that only dropped faces used")
     usable = raw.stated & np.isfinite(raw.normals).all(axis=1)
     file_normals = unit(np.where(usable[:, None], raw.normals, 0.0), np.zeros(3))  # zero where the file has none
-    seams = np.column_stack([raw.part, np.round(np.nan_to_num(raw.uv, nan=np.inf) * 1e6)])
+    apart = raw.uv if raw.colours is None else np.column_stack([raw.uv, raw.colours])
+    seams = np.column_stack([raw.part, np.round(np.nan_to_num(apart, nan=np.inf) * 1e6)])
     first, same = unique_rows(np.column_stack([vertices, seams, np.round(file_normals * 100)])[used])
     rank = np.argsort(first)  # vertices keep the order of the file
     number = np.empty(len(vertices), np.int64)

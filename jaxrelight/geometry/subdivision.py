@@ -16,8 +16,8 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
     """The same surface with no edge longer than `max_edge` metres.
 
     Every longer edge is halved, in all faces that share it, so that no crack and no vertex inside another's edge comes
-    to be; again until none is left. Positions, normals and texture coordinates are interpolated. Faces that are small
-    enough stay as they are.
+    to be; again until none is left. Positions, normals, texture coordinates and colours are interpolated. Faces that
+    are small enough stay as they are.
 
     Raises:
         InputError: `max_edge` is not a positive number, or the faces would be too many.
@@ -28,9 +28,12 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
     area = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1).sum() / 2
     if area > _MAX_FACES * max_edge**2 * 3**0.5 / 4:
         raise _too_many(max_edge)
-    uv = np.zeros((len(mesh.vertices), 0)) if mesh.uv is None else mesh.uv
-    # One row a vertex, so that all that a vertex has is interpolated alike: position, normal, texture coordinates.
-    corners, faces = np.concatenate([mesh.vertices, mesh.normals, uv], axis=1), mesh.faces
+    nothing = np.zeros((len(mesh.vertices), 0))
+    uv, colours = (nothing if columns is None else columns for columns in (mesh.uv, mesh.colours))
+    # One row a vertex, so that all that a vertex has is interpolated alike: position, normal, texture coordinates and
+    # colour.
+    corners, faces = np.concatenate([mesh.vertices, mesh.normals, uv, colours], axis=1), mesh.faces
+    colours_start = 6 + uv.shape[1]
     while True:
         edges, edge_of_side = _edges(faces)
         ends = corners[edges]
@@ -47,7 +50,8 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
         mesh,
         vertices=corners[:, :3],
         normals=unit(corners[:, 3:6], np.array([0.0, 1.0, 0.0])),
-        uv=None if mesh.uv is None else corners[:, 6:],
+        uv=None if mesh.uv is None else corners[:, 6:colours_start],
+        colours=None if mesh.colours is None else corners[:, colours_start:],
         faces=faces,
     )
 

@@ -11,13 +11,13 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong
 from jaxrelight.brdf.texture import Texture, constant, look_up
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.file_materials import FileMaterial, Picture
+from jaxrelight.geometry.file_materials import FileMaterial, PictureSource
 from jaxrelight.numerics.arrays import as_array
 
 GREY = lobes.lambert(0.5)
 
 
-def read_texture(picture: Picture, *, data: bool = False) -> Texture:
+def read_texture(picture: PictureSource, *, data: bool = False) -> Texture:
     """An image as linear colours; as the numbers that stand in it where it is `data`: a mask, or normals.
 
     Raises:
@@ -74,7 +74,7 @@ def from_file(described: FileMaterial | None) -> tuple[Brdf | Material, list[str
         (described.normal_picture, True),
     ):
         try:
-            pictures.append(None if picture is None else read_texture(picture, data=data))
+            pictures.append(None if picture is None else read_texture(picture.source, data=data))
         except InputError as error:
             notes.append(f"{error} (taken without it)")
             pictures.append(None)

@@ -10,6 +10,7 @@ import trimesh
 from PIL import Image
 
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.file_materials import FilePicture
 from jaxrelight.geometry.mesh import face_normals, load_mesh, load_parts
 from tests.geometry.gltf_writer import Gltf
 from tests.shared_data import shared
@@ -74,7 +75,7 @@ def test_parts_are_materials_with_what_is_said_of_them(tmp_path):
     assert wood.mesh.uv is not None
     np.testing.assert_allclose(wood.mesh.uv, [[0, 1], [1, 1], [0, 0.75]])
     assert wood.material is not None
-    assert wood.material.diffuse_picture == picture.getvalue()
+    assert wood.material.diffuse_picture == FilePicture(picture.getvalue())
     assert wood.material.specular == (0, 0, 0)  # as rough as can be
     assert steel.material is not None
     assert steel.mesh.two_sided

@@ -612,3 +612,20 @@ def test_face_normals_of_a_face_without_area_point_up():
     np.testing.assert_array_equal(face_normals(mesh), [[0, 1, 0]])
     with pytest.raises(InputError, match="without extent"):
         normalized(mesh, 1)
+
+
+def test_vertices_of_different_coordinates_or_colours_stay_apart():
+    """Two triangles that share an edge: its vertices are one where all that they carry is equal."""
+    corners = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    faces, none = np.arange(6).reshape(2, 3), np.zeros((6, 3))
+
+    def count(uv: np.ndarray, colours: np.ndarray | None) -> int:
+        parts = np.zeros(6, np.int64), [FilePart("default")]
+        raw = RawMesh(np.array(corners), faces, none, np.zeros(6, bool), uv, *parts, colours=colours)
+        return len(repaired(raw).vertices)
+
+    uv = np.zeros((6, 4))
+    assert count(uv, None) == count(uv, np.full((6, 3), np.nan)) == 4
+    assert count(uv, np.repeat([[1.0, 0, 0], [0, 1, 0]], 3, axis=0)) == 6
+    uv[3:, 3] = 1  # of the second set
+    assert count(uv, None) == 6

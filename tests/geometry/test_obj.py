@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxrelight.geometry.file_materials import FilePicture
 from jaxrelight.geometry.mesh import load_mesh, load_parts
 from tests.shared_data import shared
 
@@ -28,7 +29,7 @@ def test_materials_of_a_library(tmp_path):
     assert odd.material is not None
     assert lost.material is None
     assert wood.material.diffuse == (0.5, 0.4, 0.3)
-    assert wood.material.diffuse_picture == tmp_path / "maps" / "wood grain.png"
+    assert wood.material.diffuse_picture == FilePicture(tmp_path / "maps" / "wood grain.png")
     assert wood.material.notes == ["options '-s 1 1 1' of an image are left out"]
     assert (steel.material.diffuse, steel.material.specular) == ((0.1, 0.1, 0.1), (0.6, 0.6, 0.6))
     assert steel.material.exponent == 80

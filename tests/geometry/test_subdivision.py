@@ -73,3 +73,15 @@ def test_lengths_that_are_none_are_refused(max_edge):
 def test_too_many_faces_are_refused():
     with pytest.raises(InputError, match="choose a larger"):
         subdivided(plane((1.0, 1.0), 1), 1e-5)
+
+
+def test_all_coordinates_and_colours_are_interpolated():
+    flat = plane((2.0, 2.0), 1)
+    assert flat.uv is not None
+    coordinates = np.concatenate([flat.uv, 1 - flat.uv], axis=1)
+    wide = dataclasses.replace(flat, uv=coordinates, colours=flat.vertices / 2 + 0.5)
+    fine = subdivided(wide, 0.5)
+    assert fine.uv is not None
+    assert fine.colours is not None
+    np.testing.assert_allclose(fine.uv[:, 2:], 1 - fine.uv[:, :2])
+    np.testing.assert_allclose(fine.colours, fine.vertices / 2 + 0.5)
