@@ -4,8 +4,6 @@ import dataclasses
 import pathlib
 from typing import Literal
 
-import numpy as np
-
 # An image file, or the bytes of one.
 PictureSource = pathlib.Path | bytes
 # What is beyond the edges of an image, to the left and right, and above and below.
@@ -41,6 +39,7 @@ class FileMaterial:
         diffuse_picture: sRGB colours.
         specular_picture: sRGB colours.
         normal_picture: tangent-space normals as (n + 1)/2.
+        bump_picture: the same, or heights, which its colours tell.
         normal_scale: what multiplies x and y of the normals before they are of unit length.
         emission: linear radiance in all directions; may exceed 1.
         emission_picture: sRGB colours that multiply it, or None.
@@ -56,85 +55,13 @@ class FileMaterial:
     diffuse_picture: FilePicture | None = None
     specular_picture: FilePicture | None = None
     normal_picture: FilePicture | None = None
+    bump_picture: FilePicture | None = None
     normal_scale: float = 1.0
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     emission_picture: FilePicture | None = None
     tints_specular: bool = False
     two_sided: bool = False
     notes: list[str] = dataclasses.field(default_factory=list)
-
-
-def read_mtl(text: str, folder: pathlib.Path) -> dict[str, FileMaterial]:
-    """The materials of an MTL library: Kd, Ks, Ns, map_Kd, map_Ks and norm.
-
-    Ks is taken as the share that is reflected about the mirror direction. Other statements are about refraction,
-    emission and the like, or are approximations of what transport computes; those that change the look are noted.
-    """
-    materials: dict[str, FileMaterial] = {}
-    material = FileMaterial()
-    for line in text.splitlines():
-        words = line.split("#", 1)[0].split()
-        key, arguments = (words[0].lower(), words[1:]) if words else ("", [])
-        try:
-            if key == "newmtl":
-                material = materials.setdefault(" ".join(arguments), FileMaterial((0.8, 0.8, 0.8)))
-            elif key == "kd":
-                material.diffuse = _colour(arguments)
-            elif key == "ks":
-                material.specular = _colour(arguments)
-            elif key == "ns":
-                material.exponent = min(max(_finite(arguments[0]), 0.0), 1e5)
-            elif key in ("map_kd", "map_ks", "norm"):
-                name = {"map_kd": "diffuse_picture", "map_ks": "specular_picture", "norm": "normal_picture"}[key]
-                setattr(material, name, FilePicture(folder / _file_name(arguments, material.notes)))
-            elif key in ("map_bump", "bump", "disp"):
-                material.notes.append("bump and displacement maps are left out; give a normal_map")
-            elif (
-                key == "map_d"
-                or (key == "d" and _finite(arguments[-1]) < 1)
-                or (key == "tr" and _finite(arguments[-1]) > 0)
-            ):
-                material.notes.append("transparency is left out; it is opaque")
-            elif key == "ke" and max(_colour(arguments)) > 0:
-                material.notes.append("emission is left out")
-        except (ValueError, IndexError):
-            material.notes.append(f"line {line.strip()[:60]!r} of the library is not understood and was left out")
-    return materials
-
-
-def _finite(word: str) -> float:
-    number = float(word)
-    if not np.isfinite(number):
-        raise ValueError("not finite")
-    return number
-
-
-def _colour(words: list[str]) -> tuple[float, float, float]:
-    numbers = [min(max(_finite(word), 0.0), 1.0) for word in words[:3]]
-    red, green, blue = numbers * 3 if len(numbers) == 1 else numbers
-    return red, green, blue
-
-
-def _file_name(words: list[str], notes: list[str]) -> str:
-    """The file after options such as `-bm 0.2` or `-s 1 1 1`."""
-    start = 0
-    while start < len(words) and words[start].startswith("-"):
-        start += 1
-        while start < len(words) - 1 and _is_setting(words[start]):
-            start += 1
-    if start:
-        notes.append(f"options {' '.join(words[:start])[:60]!r} of an image are left out")
-    if start == len(words):
-        raise ValueError("no file")
-    return " ".join(words[start:]).replace("\\", "/")
-
-
-def _is_setting(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return word in ("on", "off")
-    return True
 
 
 def metallic_roughness(

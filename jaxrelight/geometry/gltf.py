@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.creases import FLAT_FACE
 from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, metallic_roughness
 from jaxrelight.geometry.raw_mesh import FilePart, RawMesh
 
@@ -214,6 +215,8 @@ class _Reader:
             np.concatenate([np.zeros(0, np.int64), *part_of]),
             named,
             notes=self.notes,
+            # Meshes without normals are flat, by the specification.
+            smoothing=np.full(sum(map(len, faces)), FLAT_FACE),
         )
 
     def _part(self, number: int) -> FilePart:

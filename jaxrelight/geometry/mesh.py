@@ -65,33 +65,40 @@ class MeshPart:
     uv_sets: tuple[int, ...] = ()
 
 
-def load_mesh(path: str | pathlib.Path) -> Mesh:
+def load_mesh(path: str | pathlib.Path, crease_angle: float | None = None) -> Mesh:
     """Reads a PLY, OBJ, STL, GLB or glTF file as one mesh and repairs what can be repaired without guessing.
 
     Identical vertices (equal position, and equal texture coordinates, colour and normal where the file has them) become
-    one.
-    Normals are the file's, else the mean of the adjacent faces' weighted by their angles. Faces without area, with
-    vertices that are missing or not finite, and repeated faces are dropped; winding is made consistent along shared
-    edges. Every such change is one line of `notes`. A face and the same face seen from behind are a two-sided sheet,
-    not a repetition. What the file says of materials does not count, and neither do the colours of its vertices.
+    one. Normals are the file's, else the mean of the adjacent faces' weighted by their angles; sharp edges have one for
+    each side: those that a file's smoothing groups or its format say, else those between faces whose normals differ by
+    more than the crease angle. Faces without area, with vertices that are missing or not finite, and repeated faces are
+    dropped; winding is made consistent along shared edges, and with the file's normals. Every such change is one line
+    of `notes`. A face and the same face seen from behind are a sheet with two sides, not a repetition. What the file
+    says of materials does not count, and neither do the colours of its vertices.
+
+    Args:
+        path: of the file.
+        crease_angle: in degrees, 0 … 180, where the file has no normals; it takes the place of what the file says of
+            smoothing. By default the file's word holds, and 40 degrees where it says nothing.
 
     Raises:
-        InputError: the file is missing, cut short, malformed, or more than half of its faces are unusable.
+        InputError: the file is missing, cut short, malformed, or more than half of its faces are unusable; or the
+            crease angle is out of range.
     """
-    raw, good = _load(path)
+    raw, good = _load(path, crease_angle)
     part = raw.part[good.source]
     uv, _, _ = _coordinates(raw.uv[good.source])
     notes = [note for number in np.unique(part) for note in _coordinates(raw.uv[good.source[part == number]])[2]]
     return Mesh(good.vertices, good.faces, good.normals, (*good.notes, *notes), uv)
 
 
-def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
+def load_parts(path: str | pathlib.Path, crease_angle: float | None = None) -> list[MeshPart]:
     """Reads a file as `load_mesh` does, as a mesh for each of its materials; the first one has the file's notes.
 
     Raises:
         InputError: as `load_mesh` does.
     """
-    raw, good = _load(path)
+    raw, good = _load(path, crease_angle)
     part_of_vertex = raw.part[good.source]
     part_of_face = part_of_vertex[good.faces[:, 0]]
     parts = []
@@ -103,7 +110,10 @@ def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
         place[part_vertices] = np.arange(len(part_vertices))
         uv, uv_sets, doubts = _coordinates(raw.uv[good.source[part_vertices]])
         colours, clamped = _colours(raw, good.source[part_vertices])
-        notes = [*(good.notes if not parts else ()), *(f"{part.name}: {doubt}" for doubt in (*doubts, *clamped))]
+        notes = [
+            *((*good.notes, *raw.material_notes) if not parts else ()),
+            *(f"{part.name}: {doubt}" for doubt in (*doubts, *clamped)),
+        ]
         mesh = Mesh(
             good.vertices[part_vertices],
             place[good.faces[part_of_face == number]],
@@ -119,8 +129,10 @@ def load_parts(path: str | pathlib.Path) -> list[MeshPart]:
     return parts
 
 
-def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:
+def _load(path: str | pathlib.Path, crease_angle: float | None) -> tuple[RawMesh, Repaired]:
     path = pathlib.Path(path)
+    if crease_angle is not None and not 0 <= crease_angle <= 180:
+        raise InputError(f"crease_angle is {crease_angle:g}; give degrees from 0 (flat faces) to 180 (all smooth)")
     read = READERS.get(path.suffix.lower())
     if read is None:
         known = f"{', '.join(list(READERS)[:-1])} or {list(READERS)[-1]}"
@@ -135,7 +147,7 @@ def _load(path: str | pathlib.Path) -> tuple[RawMesh, Repaired]:
     try:
         with _quiet():
             raw = read(data, path.parent)
-            return raw, repaired(raw)
+            return raw, repaired(raw, crease_angle)
     except InputError as fault:
         raise InputError(_line(f"{path}: {fault}")) from None
     except MemoryError as fault:

@@ -28,8 +28,10 @@ class RawMesh:
         uv: texture coordinates, v upwards, two columns for each set; NaN where the file has none.
         part: of each vertex; vertices of different parts stay apart.
         parts: what they are.
+        smoothing: of each face, see `smooth_normals`; None where the file says nothing.
         lost: faces already given up, counted by reason.
         notes: what the reader had to guess.
+        material_notes: what it had to guess of materials.
         colours: of vertices, linear, 0 … 1; NaN at vertices that have none, and None where the file has none. They
             multiply the diffuse colour of the part's `FileMaterial`, or stand for it where the part has no material.
     """
@@ -43,4 +45,6 @@ class RawMesh:
     parts: list[FilePart]
     lost: dict[str, int] = dataclasses.field(default_factory=dict)
     notes: list[str] = dataclasses.field(default_factory=list)
+    material_notes: list[str] = dataclasses.field(default_factory=list)
     colours: Float[np.ndarray, "v 3"] | None = None
+    smoothing: Int[np.ndarray, " f"] | None = None

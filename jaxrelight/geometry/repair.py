@@ -8,6 +8,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.creases import BY_ANGLE, CREASE_ANGLE, smooth_normals, split_vertices
 from jaxrelight.geometry.raw_mesh import RawMesh
 from jaxrelight.numerics.unique_rows import unique_rows
 
@@ -35,31 +36,39 @@ class Repaired(NamedTuple):
     source: Int[np.ndarray, " v"]
 
 
-def repaired(raw: RawMesh) -> Repaired:
+def repaired(raw: RawMesh, crease_angle: float | None = None) -> Repaired:
     """Drops unusable faces, merges identical vertices, orients faces alike and completes the normals.
 
-    Vertices that differ in nothing but texture coordinates and colours share the normal that is computed for them.
+    Normals that the file does not have follow from the faces, see `smooth_normals`. A vertex at a sharp edge becomes
+    one for each of its normals.
+
+    Args:
+        raw: the content of a file.
+        crease_angle: in degrees, between 0 and 180, instead of what the file says of smoothing; by default that holds,
+            and CREASE_ANGLE where it says nothing.
 
     Raises:
         InputError: no face, or more than half of the faces unusable.
     """
     vertices, faces, lost = raw.vertices, raw.faces, dict(raw.lost)
+    smoothing = np.full(len(faces), BY_ANGLE) if raw.smoothing is None or crease_angle is not None else raw.smoothing
     total = len(faces) + sum(lost.values())
     if total == 0:
         what = "points or lines only, no faces" if len(vertices) else "empty, no vertices and no faces"
         raise InputError(f"{what}; export a triangle mesh")
 
-    def drop(reason: str, good: Bool[np.ndarray, " f"]) -> Int[np.ndarray, "g 3"]:
+    def drop(reason: str, good: Bool[np.ndarray, " f"]) -> None:
+        nonlocal faces, smoothing
         lost[reason] = lost.get(reason, 0) + int((~good).sum())
-        return faces[good]
+        faces, smoothing = faces[good], smoothing[good]
 
-    faces = drop("index out of range", ((faces >= 0) & (faces < len(vertices))).min(axis=1))
+    drop("index out of range", ((faces >= 0) & (faces < len(vertices))).min(axis=1))
     referenced = np.unique(faces)
     sound = np.less_equal(np.abs(vertices).max(axis=1, initial=0), MAX_COORDINATE)  # false for NaN
-    faces = drop("NaN, infinite or beyond 1e30", sound[faces].min(axis=1))
-    faces = drop("zero area", _has_area(vertices[faces]))
+    drop("NaN, infinite or beyond 1e30", sound[faces].min(axis=1))
+    drop("zero area", _has_area(vertices[faces]))
     place = unique_rows(vertices)[1]
-    faces = drop("repeated", _first_of_kind(place[faces]))
+    drop("repeated", _first_of_kind(place[faces]))
     lost = {reason: count for reason, count in lost.items() if count}
     gone = sum(lost.values())
     if 2 * gone > total or not len(faces):
@@ -83,15 +92,68 @@ def repaired(raw: RawMesh) -> Repaired:
 
     faces, doubts = _wound_alike(vertices, faces, file_normals)
     notes += doubts
+    faces, file_normals, opposed, doubts = _normals_by_winding(vertices, faces, file_normals)
+    notes += doubts
     missing = np.equal(np.abs(file_normals).max(axis=1, initial=0), 0)
     if (missing & raw.stated[source]).any():
         notes.append(f"normals computed for {(missing & raw.stated[source]).sum():,} vertices: the file's are unusable")
     if _faces_inward(vertices, unique_rows(vertices)[1][faces], faces):
         notes.append(FACES_INWARD)
-    first, welded = unique_rows(np.column_stack([vertices, raw.part[source]]))
-    computed = _angle_weighted(vertices[first], welded[faces])[welded]
-    normals = np.where(missing[:, None], computed, file_normals)
-    return Repaired(vertices, np.ascontiguousarray(faces), normals, tuple(notes), source)
+    computed = missing[faces] | opposed[:, None]
+    if not computed.any():
+        if crease_angle is not None:
+            notes.append("crease_angle changes nothing: the file has normals")
+        return Repaired(vertices, np.ascontiguousarray(faces), file_normals, tuple(notes), source)
+    angle = CREASE_ANGLE if crease_angle is None else crease_angle
+    normals, edges = smooth_normals(vertices, faces, smoothing, angle)
+    sharp = np.count_nonzero(computed.any(axis=1)[edges].all(axis=1))
+    if sharp:
+        notes.append(f"normals computed: {sharp:,} edges sharper than {angle:g} degrees are creases (crease_angle)")
+    at_corners = np.where(computed[..., None], normals, file_normals[faces])
+    faces, of_vertex, normals = split_vertices(faces, at_corners, computed)
+    return Repaired(vertices[of_vertex], np.ascontiguousarray(faces), normals, tuple(notes), source[of_vertex])
+
+
+def _normals_by_winding(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], file_normals: Float[np.ndarray, "v 3"]
+) -> tuple[Int[np.ndarray, "f 3"], Float[np.ndarray, "v 3"], Bool[np.ndarray, " f"], list[str]]:
+    """Faces and normals of which most agree in every connected piece, and which faces the normals still oppose.
+
+    Where most of a piece's normals oppose its winding, its faces are turned, as the normals say more of what an author
+    saw; but where it is closed and wound so that it faces outwards, the normals are.
+    """
+    area = area_vectors(vertices[faces])
+    along = np.sum(area * file_normals[faces].sum(axis=1), axis=1)
+    against = along < 0
+    if not against.any():
+        return faces, file_normals, against, []
+    welded = unique_rows(vertices)[1][faces]
+    graph = sparse.coo_matrix((np.ones(welded.size), (welded[:, [0, 1, 2]].ravel(), welded[:, [1, 2, 0]].ravel())))
+    size = int(welded.max()) + 1
+    graph.resize(size, size)
+    piece = csgraph.connected_components(graph.tocsr(), directed=False)[1][welded[:, 0]]
+    weight = np.linalg.norm(area, axis=1) * np.sign(along)
+    contrary = np.bincount(piece, weight) < 0
+    turned, mirrored = np.zeros(len(faces), bool), np.zeros(len(vertices), bool)
+    order = np.argsort(piece, kind="stable")
+    ends = np.cumsum(np.bincount(piece))
+    for number in np.flatnonzero(contrary):
+        mine = order[ends[number - 1] if number else 0 : ends[number]]
+        if _signed_volume(vertices, welded[mine], faces[mine]) > 0:
+            mirrored[faces[mine]] = True
+        else:
+            turned[mine] = True
+    notes = []
+    if turned.any():
+        notes.append(f"turned {turned.sum():,} of {len(faces):,} faces: they faced away from the file's normals")
+    if mirrored.any():
+        notes.append(f"turned {mirrored.sum():,} normals of the file: they pointed into closed surfaces")
+    faces = np.where(turned[:, None], faces[:, ::-1], faces)
+    file_normals = np.where(mirrored[:, None], -file_normals, file_normals)
+    opposed = np.where(contrary[piece], along > 0, against)
+    if opposed.any():
+        notes.append(f"normals computed for {opposed.sum():,} faces: the file's point to their other side")
+    return faces, file_normals, opposed, notes
 
 
 def _has_area(corners: Float[np.ndarray, "f 3 3"]) -> Bool[np.ndarray, " f"]:
@@ -177,27 +239,20 @@ def _faces_inward(
     vertices: Float[np.ndarray, "v 3"], welded: Int[np.ndarray, "f 3"], faces: Int[np.ndarray, "f 3"]
 ) -> bool:
     """Whether a surface is closed, wound consistently and encloses negative volume."""
+    return _signed_volume(vertices, welded, faces) < 0
+
+
+def _signed_volume(
+    vertices: Float[np.ndarray, "v 3"], welded: Int[np.ndarray, "f 3"], faces: Int[np.ndarray, "f 3"]
+) -> float:
+    """The volume that a closed surface encloses, negative if it faces inwards; 0 if it is open or has next to none."""
     _, right, alike = _neighbours(welded)
     if 2 * len(right) != 3 * len(faces) or alike.any():
-        return False
-    corners = vertices[faces] - vertices.mean(axis=0)
-    volume = (area_vectors(corners) * corners[:, 0]).sum() / 6
-    return bool(volume < -1e-9 * np.prod(np.ptp(vertices, axis=0)))
-
-
-def _angle_weighted(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
-    """Unit vertex normals: face normals weighted by the angle each face has at the vertex."""
+        return 0.0
     corners = vertices[faces]
-    area = area_vectors(corners)
-    flat = unit(area, np.array([0.0, 1.0, 0.0]))
-    ahead, behind = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
-    angle = np.arctan2(np.linalg.norm(area, axis=1)[:, None], (ahead * behind).sum(axis=2))
-    weighted = (angle[:, :, None] * flat[:, None]).reshape(-1, 3)
-    summed = np.stack([np.bincount(faces.ravel(), weighted[:, k], len(vertices)) for k in range(3)], axis=1)
-    any_face = np.zeros_like(vertices)
-    any_face[faces.ravel()] = np.repeat(flat, 3, axis=0)
-    cancelled = np.linalg.norm(summed, axis=1) < 1e-9  # a sheet and its back at one vertex
-    return np.where(cancelled[:, None], any_face, unit(summed, any_face))
+    corners = corners - corners.mean(axis=(0, 1))
+    volume = float((area_vectors(corners) * corners[:, 0]).sum() / 6)
+    return volume if abs(volume) > 1e-9 * np.prod(np.ptp(corners, axis=(0, 1))) else 0.0
 
 
 def area_vectors(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:

@@ -133,6 +133,10 @@ def _parts(
     if chosen and one_material:
         raise InputError(f"{table.where}: give either 'material' for all of it or 'materials' by part")
 
+    crease_angle = table.number("crease_angle") if table.has("crease_angle") else None
+    if crease_angle is not None and table.has("primitive"):
+        raise InputError(f"{table.where}: crease_angle is for files; primitives have normals")
+
     def known(owner: Table, key: str) -> str:
         material = owner.text(key)
         if material not in materials:
@@ -145,9 +149,9 @@ def _parts(
         if table.has("primitive"):
             read = [meshes.MeshPart(_primitive(table), short, None)]
         elif one_material:
-            read = [meshes.MeshPart(meshes.load_mesh(folder / name), short, None)]
+            read = [meshes.MeshPart(meshes.load_mesh(folder / name, crease_angle), short, None)]
         else:
-            read = meshes.load_parts(folder / name)
+            read = meshes.load_parts(folder / name, crease_angle)
         read = _placed(table, read)
     except InputError as error:
         raise table.within(error) from None

@@ -73,7 +73,8 @@ def test_a_tilted_map_is_a_mesh_with_tilted_normals(tmp_path, receivers):
         _picture(plane, _bumpy(gloss, _map(0, 0, 1)), tmp_path / "1", receivers), flat, rtol=1e-4, atol=1e-5
     )
     normals = np.broadcast_to([0.36, 0.8, -0.48], plane.normals.shape)
-    wanted = _picture(dataclasses.replace(plane, normals=normals), gloss, tmp_path / "2", receivers)
+    tilted = dataclasses.replace(plane, normals=normals, pure_normals=True)
+    wanted = _picture(tilted, gloss, tmp_path / "2", receivers)
     image = _picture(plane, _bumpy(gloss, _map(0.36, 0.48, 0.8)), tmp_path / "3", receivers)
     np.testing.assert_allclose(image, wanted, rtol=1e-4, atol=1e-5)
     assert np.abs(image - flat).max() > 0.01

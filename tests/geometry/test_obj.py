@@ -18,7 +18,7 @@ def _parts(folder, text: str):
 
 def test_materials_of_a_library(tmp_path):
     (tmp_path / "it.mtl").write_text(
-        "# made up\nnewmtl wood\nKd 0.5 0.4 0.3\nmap_Kd -s 1 1 1 maps\\wood grain.png\n"
+        "# made up\nnewmtl wood\nKd 0.5 0.4 0.3\nmap_Kd -s 2 1 1 -cc on maps\\wood grain.png\n"
         "newmtl steel plate\nKd 0.1\nKs .6 .6 .6\nNs 80\nd 0.5\nKe 0 0 0\nnewmtl odd\nKd red\n"
     )
     faces = "usemtl wood\nf 1 2 3\nusemtl steel plate\nf 1 3 4\nusemtl odd\nf 2 5 3\nusemtl lost\nf 3 5 4\n"
@@ -29,8 +29,9 @@ def test_materials_of_a_library(tmp_path):
     assert odd.material is not None
     assert lost.material is None
     assert wood.material.diffuse == (0.5, 0.4, 0.3)
-    assert wood.material.diffuse_picture == FilePicture(tmp_path / "maps" / "wood grain.png")
-    assert wood.material.notes == ["options '-s 1 1 1' of an image are left out"]
+    placement = (2.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    assert wood.material.diffuse_picture == FilePicture(tmp_path / "maps" / "wood grain.png", placement=placement)
+    assert wood.material.notes == ["options -cc of the image wood grain.png are left out"]
     assert (steel.material.diffuse, steel.material.specular) == ((0.1, 0.1, 0.1), (0.6, 0.6, 0.6))
     assert steel.material.exponent == 80
     assert steel.material.notes == ["transparency is left out; it is opaque"]
@@ -58,19 +59,18 @@ def test_without_texture_coordinates(tmp_path):
     assert part.mesh.notes == ()
 
 
-def test_normals_are_shared_across_seams_but_not_across_materials(tmp_path):
-    roof = "v 0 0 0\nv 1 1 0\nv 2 0 0\nv 0 0 1\nv 1 1 1\nv 2 0 1\nvt 0 0\nvt 1 1\n"
+def test_normals_are_shared_across_seams_and_materials(tmp_path):
+    roof = "v 0 0 0\nv 1 .3 0\nv 2 0 0\nv 0 0 1\nv 1 .3 1\nv 2 0 1\nvt 0 0\nvt 1 1\n"
     left, right = "f 1/1 4/1 5/1\nf 1/1 5/1 2/1\n", "f 2/2 5/2 6/2\nf 2/2 6/2 3/2\n"
     path = tmp_path / "roof.obj"
-    for between, ridge in (("", [0, 1, 0]), ("usemtl other\n", None)):
+    for between in ("", "usemtl other\n"):
         path.write_text(roof + left + between + right)
         mesh = load_mesh(path)
-        top = mesh.vertices[:, 1] == 1
+        top = mesh.vertices[:, 1] == 0.3
         assert top.sum() == 4  # texture coordinates differ
-        if ridge:
-            np.testing.assert_allclose(mesh.normals[top], [ridge] * 4, atol=1e-12)
-        else:
-            assert np.abs(mesh.normals[top][:, 0]).min() > 0.7
+        np.testing.assert_allclose(mesh.normals[top], [[0, 1, 0]] * 4, atol=1e-12)
+        sharp = load_mesh(path, 20.0)
+        assert np.abs(sharp.normals[sharp.vertices[:, 1] == 0.3][:, 0]).min() > 0.2
 
 
 def test_sponza_comes_whole():
