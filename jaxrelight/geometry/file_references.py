@@ -34,7 +34,8 @@ def find_file(name: str, folder: pathlib.Path) -> tuple[pathlib.Path, str | None
         if path is not None:
             exact = candidate == written and path == whole
             return path, None if exact else f"'{name.strip()}' is taken from {path.name} in {path.parent.name or '.'}"
-    return whole if whole.name == written.rsplit("/", 1)[-1] else folder / parts[-1], None
+    is_absolute = relative != written
+    return folder / parts[-1] if is_absolute and parts else whole, None
 
 
 def find_files(names: str, folder: pathlib.Path, suffix: str) -> list[str]:

@@ -128,7 +128,7 @@ def _assembled(points, uvs, normals, painted, corners, part_of_face) -> tuple[Ra
     """A vertex for each different corner of a part, in the order of the positions, and which faces have all of them."""
     counts = [len(points), len(uvs), len(normals)]
     corners = np.where((corners > 0) & (corners <= counts), corners, 0)
-    kept = (corners[:, 0] > 0).reshape(-1, 3).all(axis=1)
+    kept = corners[:, 0].reshape(-1, 3).min(axis=1) > 0
     named = np.column_stack([corners[:, 0], np.repeat(part_of_face, 3), corners[:, 1:]])[np.repeat(kept, 3)]
     first, faces = unique_rows(named)
     place, part, at_uv, at_normal = named[first].T

@@ -134,7 +134,9 @@ def _colours(
     from jaxrelight.images.tone import srgb_decode
 
     element = next((one for one in elements if one.name == owner and one.count), None)
-    for names in _COLOURS if element else ():
+    if element is None:
+        return None, []
+    for names in _COLOURS:
         items = [element.find(name) for name in names]
         if all(item is not None and not item.counter for item in items):
             kind = np.dtype(_TYPES[items[0].kind])  # pyright: ignore[reportOptionalMemberAccess]
@@ -360,7 +362,7 @@ def _even_rows(element: _Element, body: bytes, at: int, order: str) -> tuple[_Co
             content[item.name] = _Lists(np.zeros(0), np.zeros(0, np.int64)) if item.counter else np.zeros(0)
         elif item.counter:
             values, counts = rows[f"{number}"], rows[f"count {number}"]
-            if (counts != values.shape[1]).any():
+            if (counts != values.shape[-1]).any():
                 return None
             content[item.name] = _Lists(values.reshape(-1).astype(float), counts.astype(np.int64))
         else:

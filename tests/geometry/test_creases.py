@@ -1,6 +1,7 @@
 """Sharp edges: by crease angle, by smoothing groups, by format; and smooth ones across materials."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,8 +32,8 @@ def written(folder, name: str, text: str):
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
 def test_a_box_is_sharp_in_every_format(tmp_path, suffix: str):
     path = tmp_path / f"box.{suffix}"
-    options = {"ply": {"vertex_normal": False}, "obj": {"include_normals": False}}.get(suffix, {})
-    content = CUBE.export(file_type=suffix, **options)
+    options: Any = {"ply": {"vertex_normal": False}, "obj": {"include_normals": False}}.get(suffix, {})
+    content: Any = CUBE.export(file_type=suffix, **options)
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     mesh = load_mesh(path)
     assert is_flat(mesh)
