@@ -1,6 +1,7 @@
 """Numbers that vary over a surface: an image by texture coordinates, and coarser ones for surfaces far away."""
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.arrays import as_array, on_host
 from jaxrelight.numerics.numbers import Numbers, as_numbers, float_dtype, module_of
 
 # The area in texture coordinates that a pixel of the picture covers.
@@ -115,21 +116,24 @@ def halved_shape(h: int, w: int) -> tuple[int, int]:
     return -(-h // 2), -(-w // 2)
 
 
-@jax.jit
-def _coarser(pixels: Float[Array, "h w c"]) -> Float[Array, "t c"]:
-    flat, level = [], pixels
+def _coarser(pixels: Float[Array | np.ndarray, "h w c"]) -> Float[Array, "t c"]:
+    """Texels of the coarser levels, made by NumPy where they are known: a compiled program would serve one size."""
+    module, flat, level = module_of(pixels), [], on_host(pixels)
     while level.shape[:2] != (1, 1):
-        level = _halved(level)
+        level = _halved(module, level)
         flat.append(level.reshape(-1, level.shape[-1]))
-    return jnp.concatenate(flat)
+    return as_array(module.concatenate(flat))
 
 
-def _halved(level: Float[Array, "h w c"]) -> Float[Array, "r q c"]:
+def _halved(module: Any, level: Float[Array | np.ndarray, "h w c"]) -> Float[Array | np.ndarray, "r q c"]:
     """Means of 2×2 texels; of those that are there at an odd border."""
-    h, w, c = level.shape
-    rows, columns = halved_shape(h, w)
-    wider = jnp.pad(level, ((0, 2 * rows - h), (0, 2 * columns - w), (0, 0)), mode="edge")
-    return wider.reshape(rows, 2, columns, 2, c).mean(axis=(1, 3))
+    for axis in (0, 1):
+        first, second = (level[i::2] if axis == 0 else level[:, i::2] for i in (0, 1))
+        if level.shape[axis] % 2:
+            last = level[-1:] if axis == 0 else level[:, -1:]
+            second = module.concatenate([second, last], axis=axis)
+        level = (first + second) / 2
+    return level
 
 
 # A product of textures; the empty one is 1.

@@ -8,6 +8,8 @@ from jax.test_util import check_grads
 from scipy import ndimage
 
 from jaxrelight.brdf.texture import Texture, constant, look_up
+from jaxrelight.numerics.arrays import as_array
+from tests.compilations import compilations
 
 PIXELS = np.random.default_rng(3).random((5, 7, 3)).astype(np.float32)
 
@@ -134,3 +136,10 @@ def test_gradients_reach_the_finest_pixels_through_all_levels():
     np.testing.assert_allclose(by_pixels.sum(axis=(0, 1)), 3, rtol=1e-5)
     assert (by_pixels > 0).all()
     assert np.isfinite(by_footprint).all()
+
+
+def test_images_of_any_size_get_coarser_levels_without_a_program():
+    with compilations() as programs:
+        for size in (31, 32, 37):
+            Texture(as_array(np.ones((size, size + 3, 3), np.float32))).minified()
+    assert programs == []
