@@ -4,14 +4,17 @@ Everywhere in this package an image is `[h, w, c]`, row 0 at the top, linear Rec
 that holds coverage.
 """
 
-from jaxrelight.images.files import check_writable, read_image, write_image
+from jaxrelight.images.files import ImageFile, check_writable, decode_image, open_image, read_image, write_image
 from jaxrelight.images.metric import ImageError, image_error
 from jaxrelight.images.tone import srgb_decode, srgb_encode, tone_map
 
 __all__ = [
     "ImageError",
+    "ImageFile",
     "check_writable",
+    "decode_image",
     "image_error",
+    "open_image",
     "read_image",
     "srgb_decode",
     "srgb_encode",

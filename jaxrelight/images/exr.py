@@ -5,6 +5,7 @@ raises, into one `InputError`.
 """
 
 import contextlib
+import dataclasses
 import io
 import os
 import struct
@@ -15,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from jaxrelight.errors import InputError
+from jaxrelight.images.exr_layers import Wanted, choose_layer
 from jaxrelight.images.primaries import to_rec709
 
 _MAGIC = b"\x76\x2f\x31\x01"
-_CHANNELS = {"red": "R", "green": "G", "blue": "B", "alpha": "A", "luminance": "Y"}  # what R, G, B … are also called
 _REQUIRED = {  # attributes that say what the pixels are, as name and type
     "channels\0chlist",
     "compression\0compression",
@@ -31,50 +32,77 @@ _MAX_HEADER = 2**24
 _QUIET = threading.Lock()
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class ExrPicture:
+    """The picture of an EXR file.
+
+    Attributes:
+        pixels: linear Rec.709, float32 `[h, w, 3]`, or `[h, w, 4]` if there is alpha. NaN and infinity are passed on.
+        envmap: how the picture shows the whole sphere, "latlong" or "cube", if the file says that it does.
+        notes: one line for everything that was assumed.
+    """
+
+    pixels: np.ndarray
+    envmap: str | None = None
+    notes: tuple[str, ...] = ()
+
+
 def read_exr(path: Path, max_pixels: int) -> np.ndarray:
-    """Read the colours of an EXR file: the first part that has some.
+    """The pixels of `open_exr`."""
+    return open_exr(path, max_pixels).pixels
+
+
+def open_exr(path: Path, max_pixels: int, wanted: Wanted | None = None, name: str = "") -> ExrPicture:
+    """Read the picture of an EXR file: its beauty pass, or the part and the layer that are named.
 
     Channels may be half or float, and be called R, G, B (and A) or Y alone for a grey image, in any case or spelled
-    out (`red`), behind a layer's name or not (`ViewLayer.Combined.R`). Of several layers the unnamed one is taken, else
-    the one called Combined, else the only one. Of several resolutions the full one is taken. Primaries other than
-    Rec.709's are converted. The result covers the display window: pixels outside the data window are 0, data outside
-    the display window is cropped.
+    out (`red`), behind a layer's name or not (`ViewLayer.Combined.R`). `choose_layer` says which layer of which part
+    is taken. Of several resolutions the full one is taken. Primaries other than Rec.709's are converted; ones that
+    cannot be, such as zeros, are taken as Rec.709. The result covers the display window: pixels outside the data
+    window are 0, data outside the display window is cropped.
 
     Args:
         path: A regular file.
         max_pixels: Size limit, checked against the header before any pixel is read.
-
-    Returns:
-        float32 `[h, w, 3]`, or `[h, w, 4]` if there is alpha. NaN and infinity are passed on.
+        wanted: The part and the layer, if they are named.
+        name: What messages call the file, if not its path.
 
     Raises:
         InputError: The file is not EXR, is damaged or incomplete, too large or deep, has no colours or several layers
             of them, or has colours that are integers, subsampled, or luminance and chroma.
     """
+    name = name or str(path)
     with path.open("rb") as file:
         if file.read(4) != _MAGIC:
-            raise InputError(f"{path}: not an OpenEXR file although it is named so; export it again as EXR")
+            raise InputError(f"{name}: not an OpenEXR file although it is named so; export it again as EXR")
         file.seek(0)
-        _check_table(path, file.read(_MAX_HEADER), os.fstat(file.fileno()).st_size)
-    headers = [header for header, _ in _load(path, header_only=True)]
+        _check_table(name, file.read(_MAX_HEADER), os.fstat(file.fileno()).st_size)
+    headers = [header for header, _ in _load(path, name, header_only=True)]
     for header in headers:
-        _check_header(path, header, max_pixels)
-    number, names = _choose_part(path, [header["channels"] for header in headers])
+        _check_header(name, header, max_pixels)
+    number, names, note = choose_layer(
+        name, [(str(header.get("name", "")), header["channels"]) for header in headers], wanted
+    )
 
-    parts = _load(path, header_only=False)
+    parts = _load(path, name, header_only=False)
     if len(parts) != len(headers):
-        raise InputError(f"{path}: pixels are missing or damaged; the file may be cut short, export or copy it again")
+        raise InputError(f"{name}: pixels are missing or damaged; the file may be cut short, export or copy it again")
     header, channels = parts[number]
     height, width = _size(header["dataWindow"])
-    for name in names:
-        if channels[name].dtype.kind != "f" or channels[name].shape != (height, width):
-            raise InputError(f"{path}: channel {name} holds integers or is subsampled; export full half or float RGB")
+    for channel in names:
+        if channels[channel].dtype.kind != "f" or channels[channel].shape != (height, width):
+            raise InputError(
+                f"{name}: channel {channel} holds integers or is subsampled; export full half or float RGB"
+            )
     pixels = np.empty((height, width, len(names)), np.float32)
-    for number, name in enumerate(names):
-        pixels[..., number] = channels[name]
+    for number, channel in enumerate(names):
+        pixels[..., number] = channels[channel]
     # Whatever follows takes memory of its own.
     del parts, channels
-    return _place(_in_rec709(path, pixels, header), header["dataWindow"], header["displayWindow"])
+    pixels, primaries_note = _in_rec709(name, pixels, header)
+    pixels = _place(pixels, header["dataWindow"], header["displayWindow"])
+    notes = tuple(line for line in (note, primaries_note) if line)
+    return ExrPicture(pixels, _envmap(header), notes)
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:
@@ -111,11 +139,11 @@ def read_channels(path: Path, max_pixels: int) -> list[dict[str, np.ndarray]]:
         if file.read(4) != _MAGIC:
             raise InputError(f"{path}: not an OpenEXR file although it is named so; write it again")
         file.seek(0)
-        _check_table(path, file.read(_MAX_HEADER), os.fstat(file.fileno()).st_size)
-    headers = [header for header, _ in _load(path, header_only=True)]
+        _check_table(str(path), file.read(_MAX_HEADER), os.fstat(file.fileno()).st_size)
+    headers = [header for header, _ in _load(path, str(path), header_only=True)]
     for header in headers:
-        _check_header(path, header, max_pixels)
-    parts = _load(path, header_only=False)
+        _check_header(str(path), header, max_pixels)
+    parts = _load(path, str(path), header_only=False)
     sizes = [_size(header["dataWindow"]) for header in headers]
     if len(parts) != len(headers) or any(
         plane.shape != size for size, (_, planes) in zip(sizes, parts, strict=True) for plane in planes.values()
@@ -149,7 +177,7 @@ def write_channels(path: Path, parts: Sequence[tuple[str, dict[str, np.ndarray]]
         raise OSError(str(fault).strip().split('". ')[-1]) from fault
 
 
-def _load(path: Path, *, header_only: bool) -> list[tuple[dict, dict]]:
+def _load(path: Path, name: str, *, header_only: bool) -> list[tuple[dict, dict]]:
     """Header, with the channels' names, and pixels by channel of each part that the library could read."""
     import OpenEXR
 
@@ -159,14 +187,14 @@ def _load(path: Path, *, header_only: bool) -> list[tuple[dict, dict]]:
             parts = [
                 (
                     {**file.header(i), "channels": [channel.name for channel in file.header(i)["channels"]]},
-                    {} if header_only else {name: channel.pixels for name, channel in file.channels(i).items()},
+                    {} if header_only else {key: channel.pixels for key, channel in file.channels(i).items()},
                 )
                 for i in range(len(file.parts))
             ]
     except Exception as fault:  # RuntimeError, ValueError, UnicodeDecodeError, ...: whatever the damage led to
-        raise InputError(f"{path}: damaged or cut-short OpenEXR file; export or copy it again") from fault
+        raise InputError(f"{name}: damaged or cut-short OpenEXR file; export or copy it again") from fault
     if header_only and not parts:
-        raise InputError(f"{path}: OpenEXR file without an image; export or copy it again")
+        raise InputError(f"{name}: OpenEXR file without an image; export or copy it again")
     return parts
 
 
@@ -189,35 +217,35 @@ def _size(window) -> tuple[int, int]:
     return int(bottom - top + 1), int(right - left + 1)
 
 
-def _check_header(path: Path, header: dict, max_pixels: int) -> None:
+def _check_header(name: str, header: dict, max_pixels: int) -> None:
     import OpenEXR
 
     if header["type"] not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
-        raise InputError(f"{path}: deep EXR images are not supported; flatten it and export again")
+        raise InputError(f"{name}: deep EXR images are not supported; flatten it and export again")
     for window in (header["dataWindow"], header["displayWindow"]):
         height, width = _size(window)
         if height < 1 or width < 1:
-            raise InputError(f"{path}: the header claims an empty image of {width}x{height} pixels; export it again")
+            raise InputError(f"{name}: the header claims an empty image of {width}x{height} pixels; export it again")
         if height * width > max_pixels:
             raise InputError(
-                f"{path}: the header claims {width}x{height} pixels, more than the limit of {max_pixels}; "
+                f"{name}: the header claims {width}x{height} pixels, more than the limit of {max_pixels}; "
                 "shrink the image"
             )
     height, width = _size(header["dataWindow"])
     shown = int(np.prod(_size(header["displayWindow"])))
     if shown > max(64 * height * width, 2**22):
         raise InputError(
-            f"{path}: its display window has {shown:,} pixels, but only {height * width:,} are stored; "
+            f"{name}: its display window has {shown:,} pixels, but only {height * width:,} are stored; "
             "export it without the empty border"
         )
     if height * width * len(header["channels"]) > 4 * max_pixels:
         raise InputError(
-            f"{path}: {len(header['channels'])} channels of {width}x{height} pixels are more than the limit of "
+            f"{name}: {len(header['channels'])} channels of {width}x{height} pixels are more than the limit of "
             f"{4 * max_pixels} values; export only the colour channels"
         )
 
 
-def _check_table(path: Path, head: bytes, file_size: int) -> None:
+def _check_table(name: str, head: bytes, file_size: int) -> None:
     """Refuse headers that lack what the library would make up, and sizes that leave chunks of the file over.
 
     The library believes a window with too few rows, and then reads the picture's upper part as the whole.
@@ -229,7 +257,7 @@ def _check_table(path: Path, head: bytes, file_size: int) -> None:
             attributes, at = _attributes(head, at)
             if missing := _REQUIRED - set(attributes):
                 lacks = sorted(missing)[0].split("\0")[0]
-                raise InputError(f"{path}: its header lacks {lacks!r}; export or copy it again")
+                raise InputError(f"{name}: its header lacks {lacks!r}; export or copy it again")
             headers.append(attributes)
         count = None if several or version & 0x800 else _chunk_count(headers[0])
         if count is None or at + 8 * count + 8 > len(head):
@@ -239,9 +267,9 @@ def _check_table(path: Path, head: bytes, file_size: int) -> None:
     except (ValueError, IndexError, KeyError, struct.error):
         if len(head) == _MAX_HEADER:
             return  # too long to look through; the library reads it
-        raise InputError(f"{path}: damaged or cut-short OpenEXR header; export or copy it again") from None
+        raise InputError(f"{name}: damaged or cut-short OpenEXR header; export or copy it again") from None
     if first >= at + 8 * count + 8 and first < beyond < file_size:
-        raise InputError(f"{path}: its header claims fewer pixels than the file holds; export or copy it again")
+        raise InputError(f"{name}: its header claims fewer pixels than the file holds; export or copy it again")
 
 
 def _attributes(head: bytes, at: int) -> tuple[dict[str, bytes], int]:
@@ -274,51 +302,26 @@ def _chunk_count(header: dict[str, bytes]) -> int | None:
     return -(-width // across) * -(-height // down)
 
 
-def _choose_part(path: Path, names_by_part: Sequence[Sequence[str]]) -> tuple[int, list[str]]:
-    """The first part with colours, and the names of its colour channels."""
-    for number, names in enumerate(names_by_part):
-        if chosen := _choose_channels(path, names):
-            return number, chosen
-    listing = _listed([name for names in names_by_part for name in names])
-    raise InputError(f"{path}: no colours among the channels {listing}; export R, G, B or Y")
+def _envmap(header: dict) -> str | None:
+    """The layout that the header names."""
+    import OpenEXR
+
+    names = {OpenEXR.ENVMAP_LATLONG: "latlong", OpenEXR.ENVMAP_CUBE: "cube"}
+    return names.get(header.get("envmap"))  # pyright: ignore[reportArgumentType]
 
 
-def _choose_channels(path: Path, names: Sequence[str]) -> list[str] | None:
-    layers: dict[str, dict[str, str]] = {}
-    for name in sorted(names, reverse=True):  # so that R stands in for r where a layer has both
-        layer, _, channel = name.rpartition(".")
-        layers.setdefault(layer, {})[_CHANNELS.get(channel.lower(), channel.upper())] = name
-
-    coloured = [layer for layer, has in sorted(layers.items()) if {"R", "G", "B"} <= set(has)]
-    # Y beside X and Z is a vector; beside RY and BY it is the luminance of a colour image
-    grey = [layer for layer, has in sorted(layers.items()) if "Y" in has and not set(has) & {"X", "Z", "RY", "BY"}]
-    candidates, wanted = (coloured, "RGB") if coloured else (grey, "YYY")
-    if not candidates:
-        if any({"Y", "RY", "BY"} <= set(has) for has in layers.values()):
-            raise InputError(f"{path}: holds luminance and chroma (Y, RY, BY), which are not supported; export R, G, B")
-        return None
-    preferred = [layer for layer in candidates if layer == ""]
-    preferred = preferred or [layer for layer in candidates if layer.rpartition(".")[2] == "Combined"] or candidates
-    if len(preferred) > 1:
-        raise InputError(
-            f"{path}: several layers have colours, {_listed(preferred)}, and none is unnamed or called 'Combined'; "
-            "export one of them alone"
-        )
-    has = layers[preferred[0]]
-    return [has[channel] for channel in wanted + ("A" if "A" in has else "")]
-
-
-def _in_rec709(path: Path, pixels: np.ndarray, header: dict) -> np.ndarray:
+def _in_rec709(name: str, pixels: np.ndarray, header: dict) -> tuple[np.ndarray, str]:
+    """Colours converted from the file's primaries, in place, and a note where these are none."""
     if "chromaticities" not in header:
-        return pixels
+        return pixels, ""
     try:
         matrix = to_rec709(header["chromaticities"])
     except ValueError as fault:
-        raise InputError(f"{path}: its chromaticities are not usable, {fault}; export it as Rec.709") from None
+        return pixels, f"{name}: its chromaticities are not usable, {fault}; its colours are taken as Rec.709"
     if matrix is not None:
         with np.errstate(over="ignore", invalid="ignore"):
             pixels[..., :3] = pixels[..., :3] @ matrix.T.astype(np.float32)
-    return pixels
+    return pixels, ""
 
 
 def _place(pixels: np.ndarray, data_window, display_window) -> np.ndarray:
@@ -334,8 +337,3 @@ def _place(pixels: np.ndarray, data_window, display_window) -> np.ndarray:
     )
     image[y_to, x_to] = pixels[y_from, x_from]
     return image
-
-
-def _listed(names: Sequence[str], most: int = 12) -> str:
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(repr(name) for name in names[:most]) + more

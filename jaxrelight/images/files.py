@@ -1,10 +1,11 @@
-"""Image files by extension: OpenEXR and Radiance hold radiance as it is, PNG and JPEG hold sRGB."""
+"""Image files: OpenEXR and Radiance hold radiance as it is, the other kinds hold sRGB.
 
-import io
+What a file holds is told by its content when it is read, and by its extension when it is written.
+"""
+
+import dataclasses
 import os
-import struct
-import warnings
-import zlib
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,49 +14,140 @@ from numpy.typing import ArrayLike
 
 from jaxrelight.errors import InputError
 from jaxrelight.files.whole_file import check_place, write_whole
-from jaxrelight.images.exr import read_exr, write_channels, write_exr
+from jaxrelight.images.encoded import FORMATS, decode_encoded
+from jaxrelight.images.exr import open_exr, write_channels, write_exr
+from jaxrelight.images.exr_layers import Wanted, split_choice
+from jaxrelight.images.kinds import READABLE, SUFFIXES, kind_of, kind_of_suffix, other_kind_of
 from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
-from jaxrelight.images.tone import srgb_decode, to_bytes, to_unit, tone_map
+from jaxrelight.images.tone import to_bytes, to_unit, tone_map
 
-_PILLOW_FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
-_READABLE = ".exr, .hdr, .pic, .png, .jpg"
 _WRITABLE = ".exr", ".hdr", ".pic", ".png"
+_MAX_HEADER = 2**20
+_MAX_BYTES_PER_PIXEL = 9  # of files that are not OpenEXR: four channels of 16 bits, and what does not shrink
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ImageFile:
+    """What an image file holds.
+
+    Attributes:
+        pixels: float32 `[h, w, 3]`, or `[h, w, 4]` if there is alpha; row 0 is the top.
+        kind: "OpenEXR", "Radiance", "PNG", "JPEG", "WebP", "TGA" or "BMP".
+        envmap: how the picture shows the whole sphere, "latlong" or "cube", where an OpenEXR file says that it does.
+        notes: one line for everything that was assumed.
+    """
+
+    pixels: np.ndarray
+    kind: str
+    envmap: str | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def is_encoded(self) -> bool:
+        """Whether the file's numbers run from 0 to a full scale, encoded by the sRGB curve."""
+        return self.kind in FORMATS
 
 
 def read_image(path: str | os.PathLike, max_pixels: int = 2**27) -> np.ndarray:
     """Read an image file as linear Rec.709.
 
-    EXR and Radiance values come as they are stored, NaN included, with Radiance's EXPOSURE divided out. PNG and JPEG
-    are decoded from sRGB to [0, 1], 16-bit colour at 8-bit precision; their colour profiles are not applied and alpha
-    is not multiplied in.
+    The format is found by content, not by the path's ending: OpenEXR, Radiance, PNG, JPEG, WebP, TGA or BMP. OpenEXR
+    and Radiance values come as they are stored, NaN included, with Radiance's EXPOSURE divided out. The other kinds are
+    decoded from sRGB to [0, 1], of 8 bits or, in PNG, 16; their colour profiles are not applied and alpha is not
+    multiplied in.
+
+    Of an OpenEXR file with several parts or layers the beauty pass is read. Another one is named behind the path:
+    `sky.exr#layer:ViewLayer.Albedo`, `sky.exr#part:left` or `sky.exr#part:left,layer:albedo`.
 
     Args:
-        path: A file ending in .exr, .hdr, .pic, .png, .jpg or .jpeg.
+        path: A file.
         max_pixels: A file whose header claims more is refused before memory is taken for it.
 
     Returns:
         float32 `[h, w, 3]`, or `[h, w, 4]` if the file has alpha; row 0 is the top.
 
     Raises:
-        InputError: The file is missing, of another kind, damaged, cut short or too large.
+        InputError: The file is missing, of another kind, damaged, cut short or too large, or has no such layer.
     """
-    path = Path(path)
-    suffix = path.suffix.lower()
+    return open_image(path, max_pixels).pixels
+
+
+def open_image(path: str | os.PathLike, max_pixels: int = 2**27, *, stored: bool = False) -> ImageFile:
+    """`read_image`, with what is known of the file beside its pixels.
+
+    Args:
+        path: A file.
+        max_pixels: See `read_image`.
+        stored: Whether numbers that are encoded by sRGB come as they stand in the file, from 0 to 1.
+
+    Raises:
+        InputError: As `read_image` does.
+    """
+    path, wanted = Path(path), None
     try:
+        if not path.exists():
+            plain, wanted = split_choice(os.fspath(path))
+            path = Path(plain)
         _check_regular(path)
-        if suffix == ".exr":
-            return read_exr(path, max_pixels)
-        if suffix in (".hdr", ".pic"):
-            with path.open("rb") as file:  # five bytes a pixel, besides the header, is the most that a picture can fill
-                data = file.read(min(path.stat().st_size, 5 * max_pixels + 2**20))
-            return decode_radiance(data, str(path), max_pixels)
-        if suffix in _PILLOW_FORMATS:
-            return _read_pillow(path, max_pixels)
-    except MemoryError as fault:
-        raise InputError(f"{path}: is larger than the free memory; shrink the image") from fault
+        with path.open("rb") as file:
+            head = file.read(64)
+            if kind_of(head) == "OpenEXR" or (kind_of(head) is None and kind_of_suffix(path.suffix) == "OpenEXR"):
+                return _from_exr(path, str(path), path.suffix, max_pixels, wanted)
+            data = head + file.read(_MAX_BYTES_PER_PIXEL * max_pixels + _MAX_HEADER)
     except OSError as fault:
         raise InputError(f"{path}: cannot be read, {fault.strerror or fault}; check the path and its rights") from fault
-    raise InputError(f"{path}: unknown kind of image {suffix!r}; use one of {_READABLE}")
+    except MemoryError as fault:
+        raise InputError(f"{path}: is larger than the free memory; shrink the image") from fault
+    if wanted is not None:
+        raise InputError(f"{path}: only OpenEXR files have parts and layers; leave out what follows '#'")
+    return decode_image(data, str(path), max_pixels, stored=stored, suffix=path.suffix)
+
+
+def decode_image(
+    data: bytes, name: str, max_pixels: int = 2**27, *, stored: bool = False, suffix: str = ""
+) -> ImageFile:
+    """`open_image` of bytes, such as those of an image that another file holds.
+
+    Args:
+        data: The content of an image file.
+        name: What messages call it.
+        max_pixels: See `read_image`.
+        stored: See `open_image`.
+        suffix: The ending of its file's name, if it has one; it decides where the content says nothing.
+
+    Raises:
+        InputError: As `read_image` does.
+    """
+    kind = kind_of(data)
+    try:
+        if kind is None:
+            other, kind = other_kind_of(data), kind_of_suffix(suffix)
+            if other is not None:
+                raise InputError(f"{name}: holds {other}, which is not read; convert it to one of {READABLE}")
+            if kind is None:
+                raise InputError(f"{name}: unknown kind of image {suffix!r}; use one of {READABLE}")
+        if kind == "OpenEXR":
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / "embedded.exr"
+                path.write_bytes(data)
+                return _from_exr(path, name, suffix, max_pixels, None)
+        if kind == "Radiance":
+            pixels, notes = decode_radiance(data, name, max_pixels)
+        else:
+            pixels, notes = decode_encoded(data, kind, name, max_pixels, stored=stored), ()
+    except MemoryError as fault:
+        raise InputError(f"{name}: is larger than the free memory; shrink the image") from fault
+    return ImageFile(pixels, kind, None, (*_misnamed(name, kind, suffix), *notes))
+
+
+def _from_exr(path: Path, name: str, suffix: str, max_pixels: int, wanted: Wanted | None) -> ImageFile:
+    picture = open_exr(path, max_pixels, wanted, name)
+    return ImageFile(picture.pixels, "OpenEXR", picture.envmap, (*_misnamed(name, "OpenEXR", suffix), *picture.notes))
+
+
+def _misnamed(name: str, kind: str, suffix: str) -> tuple[str, ...]:
+    """A note where a file is called as one of another kind is."""
+    return () if suffix.lower() in ("", *SUFFIXES[kind]) else (f"{name}: read as {kind}, which is what it holds",)
 
 
 def write_image(path: str | os.PathLike, pixels: ArrayLike, exposure: float = 0.0, *, alpha: bool = False) -> None:
@@ -120,56 +212,6 @@ def _check_regular(path: Path) -> None:
         raise InputError(f"{path}: is not a regular file; save the image to one first")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; export or copy it again")
-
-
-def _read_pillow(path: Path, max_pixels: int) -> np.ndarray:
-    from PIL import Image
-
-    kind = _PILLOW_FORMATS[path.suffix.lower()]
-    try:
-        data = path.read_bytes()  # a stream from a file would take the memory that a chunk claims
-        with warnings.catch_warnings(), io.BytesIO(data) as file:
-            warnings.simplefilter("ignore")  # its own size warning, and complaints about metadata
-            image = Image.open(file, formats=[kind])
-            _check_claimed_size(path, image.size, max_pixels)
-            image.load()
-            if kind == "PNG":
-                _check_png_chunks(data)
-            if image.mode.startswith("I"):  # 16-bit grey
-                grey = np.asarray(image, dtype=np.float32) / 65535
-                return np.repeat(srgb_decode(grey)[..., None], 3, axis=-1).astype(np.float32)
-            stored = np.asarray(image.convert("RGBA" if image.has_transparency_data else "RGB"))
-    except (InputError, MemoryError):
-        raise
-    except Exception as fault:  # a broken file can raise nearly anything in Pillow's many decoders
-        raise InputError(f"{path}: not a {kind} file, or damaged or cut short; export or copy it again") from fault
-    levels = np.arange(256) / 255
-    linear = srgb_decode(levels).astype(np.float32)[stored]
-    if stored.shape[2] == 4:
-        linear[..., 3] = levels[stored[..., 3]]
-    return linear
-
-
-def _check_png_chunks(data: bytes) -> None:
-    """Raise ValueError unless every chunk up to the end marker has its checksum; Pillow leaves that of pixels out."""
-    at, name = 8, b""
-    while name != b"IEND":
-        length, name = struct.unpack_from(">I4s", data, at)
-        (checksum,) = struct.unpack_from(">I", data, at + 8 + length)
-        if zlib.crc32(data[at + 4 : at + 8 + length]) != checksum:
-            raise ValueError("a chunk is damaged")
-        at += 12 + length
-
-
-def _check_claimed_size(path: Path, size: tuple[int, int], max_pixels: int) -> None:
-    width, height = size
-    if width * height > max_pixels:
-        raise InputError(
-            f"{path}: the header claims {width}x{height} pixels, more than the limit of {max_pixels}; shrink the image"
-        )
-    # deflate shrinks at most 1032-fold, and a pixel has at least one bit; JPEG stays below that, too
-    if width * height > path.stat().st_size * 1032 * 8:
-        raise InputError(f"{path}: too short for the {width}x{height} pixels it claims; export or copy it again")
 
 
 def _as_image(path: Path, pixels) -> np.ndarray:

@@ -13,7 +13,7 @@ from jaxrelight.images.primaries import to_rec709
 
 _MAX_HEADER = 1 << 16
 _ROW_BATCH = 64
-_RESOLUTION = re.compile(rb"([+-])([XY]) +(\d{1,9}) +([+-])([XY]) +(\d{1,9})\s*")
+_RESOLUTION = re.compile(rb"\s*([+-])\s*([XY])\s+(\d{1,9})\s+([+-])\s*([XY])\s+(\d{1,9})\s*", re.IGNORECASE)
 _CODED_WIDTHS = range(8, 0x8000)  # scanlines that the new coding can hold
 _DEFAULT_PRIMARIES = (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 1 / 3, 1 / 3)  # written by default, and meant as Rec.709
 
@@ -22,11 +22,12 @@ class _FormatError(Exception):
     """The bytes break the format; the message ends the sentence "this file ..."."""
 
 
-def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
-    """Decode a Radiance picture to float32 `[h, w, 3]`.
+def decode_radiance(data: bytes, name: str, max_pixels: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Decode a Radiance picture to float32 `[h, w, 3]`, and say in a line each what its header left to assume.
 
     EXPOSURE and COLORCORR, of which there may be several lines each, are divided out; PRIMARIES other than Radiance's
-    own or Rec.709's are converted.
+    own or Rec.709's are converted. Primaries that are none, as where all are 0, are taken as Rec.709, and exposures of
+    0 as 1. Keys may be in lower case, and the empty line before the size may be missing.
 
     Args:
         data: The file's content.
@@ -37,10 +38,11 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
         InputError: Not such a picture, cut short, longer than it claims, too large, in the XYZ variant or not linear.
     """
     try:
-        scale, primaries, at = _read_header(data)
+        scale, primaries, at, notes = _read_header(data)
         line_end = data.find(b"\n", at, at + 80)
         resolution = _RESOLUTION.fullmatch(data[at:line_end]) if line_end >= 0 else None
-        if resolution is None or resolution[2] == resolution[5]:
+        axes = b"" if resolution is None else (resolution[2] + resolution[5]).upper()
+        if resolution is None or axes not in (b"XY", b"YX"):
             raise _FormatError("has no resolution line such as '-Y 512 +X 1024'")
         count, length = int(resolution[3]), int(resolution[6])
         if not 0 < count * length <= max_pixels:
@@ -50,11 +52,11 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
         raise InputError(f"{name}: this Radiance file {fault}; export or copy it again") from None
 
     # the first axis runs along resolution[2], in the direction of its sign; ours run down and right, which is -Y and +X
-    if resolution[1] + resolution[2] in (b"+Y", b"-X"):
+    if resolution[1] + axes[:1] in (b"+Y", b"-X"):
         rgbe = rgbe[::-1]
-    if resolution[4] + resolution[5] in (b"+Y", b"-X"):
+    if resolution[4] + axes[1:] in (b"+Y", b"-X"):
         rgbe = rgbe[:, ::-1]
-    if resolution[2] == b"X":
+    if axes == b"XY":
         rgbe = rgbe.swapaxes(0, 1)
     pixels = np.empty((*rgbe.shape[:2], 3), np.float32)
     # Some rows at a time: what lies between is several times the picture.
@@ -65,7 +67,7 @@ def decode_radiance(data: bytes, name: str, max_pixels: int) -> np.ndarray:
         with np.errstate(over="ignore", invalid="ignore"):
             colours = colours if (scale == 1).all() else (colours / scale).astype(np.float32)
             pixels[rows] = colours if primaries is None else colours @ primaries.T.astype(np.float32)
-    return pixels
+    return pixels, tuple(f"{name}: {note}" for note in notes)
 
 
 def encode_radiance(pixels: np.ndarray) -> bytes:
@@ -85,42 +87,65 @@ def encode_radiance(pixels: np.ndarray) -> bytes:
     )
 
 
-def _read_header(data: bytes) -> tuple[np.ndarray, np.ndarray | None, int]:
-    """The factor by which the stored pixels were multiplied, `[3]`, their primaries' matrix, and the header's end."""
-    scale, primaries, known, at = np.ones(3), None, data.startswith(b"#?"), 0
+def _read_header(data: bytes) -> tuple[np.ndarray, np.ndarray | None, int, list[str]]:
+    """The factor by which the stored pixels were multiplied, `[3]`, their primaries' matrix, the end, and notes."""
+    scale, primaries, known, at, notes = np.ones(3), None, data.startswith(b"#?"), 0, []
     while True:
         end = data.find(b"\n", at, _MAX_HEADER)
         if end < 0:
             raise _FormatError("has a header without an end" if known else "does not start like one")
-        line, at = data[at:end].strip(), end + 1
+        line = data[at:end].strip()
+        if known and _RESOLUTION.fullmatch(line):
+            break
+        at = end + 1
         if not line:
             break
         key, _, value = (word.strip() for word in line.partition(b"="))
+        key = key.upper()
         if key == b"FORMAT":
-            if value != b"32-bit_rle_rgbe":
+            if value.lower() != b"32-bit_rle_rgbe":
                 kind = value.decode("ascii", "replace")[:40]
                 raise _FormatError(f"has FORMAT={kind}, and only 32-bit_rle_rgbe is read (ra_xyze -r converts XYZ)")
             known = True
-        elif key in (b"EXPOSURE", b"COLORCORR", b"PRIMARIES", b"GAMMA"):
-            try:
-                numbers = np.array([float(word) for word in value.split()])
-                if key == b"PRIMARIES":
-                    usual = numbers.shape == (8,) and np.allclose(numbers, _DEFAULT_PRIMARIES, rtol=0, atol=0.011)
-                    primaries = None if usual else to_rec709(numbers)
-                elif key == b"GAMMA":
-                    if numbers.tolist() != [1.0]:
-                        raise _FormatError("has a GAMMA other than 1, so it holds no linear radiance")
-                else:
-                    scale = scale * np.reshape(numbers, 1 if key == b"EXPOSURE" else 3)
-            except ValueError:
-                raise _FormatError(f"has an unreadable {key.decode()} line") from None
+        elif key == b"PRIMARIES":
+            primaries, note = _primaries(value)
+            notes += [note] if note else []
+        elif key == b"GAMMA":
+            if _numbers(key, value).tolist() not in ([1.0], [0.0]):  # 0 where a writer left it open
+                raise _FormatError("has a GAMMA other than 1, so it holds no linear radiance")
+        elif key in (b"EXPOSURE", b"COLORCORR"):
+            numbers = _numbers(key, value)
+            if numbers.size != (1 if key == b"EXPOSURE" else 3):
+                raise _FormatError(f"has an unreadable {key.decode()} line")
+            if (numbers == 0).all():
+                notes.append(f"its {key.decode()} is 0, taken as 1")
+            else:
+                scale = scale * numbers
     if not known:
         raise _FormatError("has neither a '#?' line nor a FORMAT line, so it is something else")
     with np.errstate(over="ignore", under="ignore"):
         scale = scale.astype(np.float32)
     if not (np.isfinite(scale) & (scale > 0)).all():
         raise _FormatError("has an EXPOSURE or COLORCORR that is not a positive number")
-    return scale, primaries, at
+    return scale, primaries, at, notes
+
+
+def _numbers(key: bytes, value: bytes) -> np.ndarray:
+    try:
+        return np.array([float(word) for word in value.replace(b",", b" ").split()])
+    except ValueError:
+        raise _FormatError(f"has an unreadable {key.decode()} line") from None
+
+
+def _primaries(value: bytes) -> tuple[np.ndarray | None, str]:
+    """The matrix to Rec.709, and a note where the numbers are no primaries."""
+    try:
+        numbers = _numbers(b"PRIMARIES", value)
+        usual = numbers.shape == (8,) and np.allclose(numbers, _DEFAULT_PRIMARIES, rtol=0, atol=0.011)
+        return None if usual else to_rec709(numbers), ""
+    except (ValueError, _FormatError):
+        shown = value.decode("ascii", "replace")[:60]
+        return None, f"its PRIMARIES={shown} are none; its colours are taken as Rec.709"
 
 
 def _read_scanlines(data: bytes, at: int, count: int, length: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 
 from jaxrelight.errors import InputError
 from jaxrelight.images import read_image
-from jaxrelight.images.exr import read_channels, read_exr, write_channels, write_exr
+from jaxrelight.images.exr import open_exr, read_channels, read_exr, write_channels, write_exr
 from tests.images import exr_writer
 from tests.images.exr_writer import Part
 from tests.shared_data import shared
@@ -210,8 +210,10 @@ def test_primaries_are_converted(path):
         np.testing.assert_allclose(back[..., :3], pixels[..., :3] @ matrix.T, atol=2e-4)
         np.testing.assert_array_equal(back[..., 3], pixels[..., 3])
     attribute = {"chromaticities": ("chromaticities", struct.pack("<8f", *[0.3] * 8))}
-    with pytest.raises(InputError, match="chromaticities are not usable"):
-        read_exr(_written(path, Part(exr_writer.planes(pixels, "RGBA"), attributes=attribute)), LIMIT)
+    picture = open_exr(_written(path, Part(exr_writer.planes(pixels, "RGBA"), attributes=attribute)), LIMIT)
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    assert "chromaticities are not usable" in picture.notes[0]
+    assert "taken as Rec.709" in picture.notes[0]
 
 
 def _with_window(data: bytes, name: bytes, width: int, height: int) -> bytes:

@@ -179,9 +179,16 @@ def test_strange_paths(tmp_path):
 
 
 def test_unknown_extensions(tmp_path):
-    (tmp_path / "a.tiff").write_bytes(b"II*\0")
-    with pytest.raises(InputError, match=r"'\.tiff'; use one of \.exr"):
-        read_image(tmp_path / "a.tiff")
+    for content, name, words in (
+        (b"II*\0", "a.tiff", r"holds TIFF, which is not read; convert it to one of \.exr"),
+        (b"GIF89a", "a.png", "holds GIF"),
+        (b"\0\0\0\x1cftypavif", "a.jpg", "holds AVIF"),
+        (b"nothing known", "a.xyz", r"unknown kind of image '\.xyz'; use one of \.exr"),
+        (b"nothing known", "a", "unknown kind of image ''"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=words):
+            read_image(tmp_path / name)
     for name in ("a.tiff", "a.jpg", "a"):
         with pytest.raises(InputError, match="cannot write"):
             write_image(tmp_path / name, _pixels())

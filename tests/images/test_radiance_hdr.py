@@ -20,7 +20,7 @@ def _pixels(height=20, width=30):
 
 
 def _decode(data, limit=LIMIT):
-    return decode_radiance(data, "sky.hdr", limit)
+    return decode_radiance(data, "sky.hdr", limit)[0]
 
 
 def _flat(rgbe):
@@ -183,10 +183,8 @@ def test_damage_is_refused_or_read_never_worse():
         (b"\x89PNG\r\n\x1a\n\0\0\0", "does not start like one"),
         (b"hello\n\n-Y 1 +X 1\n\0\0\0\0", "neither"),
         (b"#?RADIANCE\nEXPOSURE=bright\n\n-Y 1 +X 1\n\0\0\0\0", "EXPOSURE"),
-        (b"#?RADIANCE\nEXPOSURE=0\n\n-Y 1 +X 1\n\0\0\0\0", "not a positive number"),
+        (b"#?RADIANCE\nEXPOSURE=-1\n\n-Y 1 +X 1\n\0\0\0\0", "not a positive number"),
         (b"#?RADIANCE\nCOLORCORR=1 2\n\n-Y 1 +X 1\n\0\0\0\0", "COLORCORR"),
-        (b"#?RADIANCE\nPRIMARIES=1 2 3\n\n-Y 1 +X 1\n\0\0\0\0", "PRIMARIES"),
-        (b"#?RADIANCE\nPRIMARIES=0 0 0 0 0 0 0 0\n\n-Y 1 +X 1\n\0\0\0\0", "PRIMARIES"),
         (b"#?RADIANCE\nGAMMA=2.2\n\n-Y 1 +X 1\n\0\0\0\0", "GAMMA other than 1"),
         (HEADER + b"-Y 1 +X 1\n\2\2\2\x80\3\3\3\x80", "4 bytes after the last of its 1 scanlines"),
         (HEADER + b"-Y 1 +Y 1\n\0\0\0\0", "resolution"),
@@ -213,3 +211,31 @@ def test_published_pictures():
         assert np.isfinite(pixels).all()
         assert pixels.min() >= 0
         np.testing.assert_array_equal(_decode(encode_radiance(pixels)), pixels)
+
+
+@pytest.mark.parametrize(
+    ("header", "note"),
+    [
+        (b"#?RADIANCE\nPRIMARIES=0 0 0 0 0 0 0 0\nFORMAT=32-bit_rle_rgbe\n\n", "PRIMARIES=0 0 0 0 0 0 0 0 are none"),
+        (b"#?RADIANCE\nPRIMARIES=1 2 3\n\n", "taken as Rec.709"),
+        (b"#?RGBE\nPRIMARIES=none\n\n", "PRIMARIES=none are none"),
+        (b"#?RADIANCE\nEXPOSURE=0\n\n", "its EXPOSURE is 0, taken as 1"),
+        (b"#?RADIANCE\nCOLORCORR=0 0 0\n\n", "its COLORCORR is 0, taken as 1"),
+        (b"#?RADIANCE\n# no FORMAT line\n\n", ""),
+        (b"#?AUTOPANO\n  Format = 32-bit_RLE_rgbe  \r\n gamma = 1\r\n\r\n", ""),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", ""),  # no empty line before the size
+    ],
+)
+@pytest.mark.parametrize("size", [b"-Y 1 +X 2\n", b"-y 1  +x 2 \r\n"])
+def test_odd_headers_are_read_with_a_note(header, note, size):
+    pixels, notes = decode_radiance(header + size + b"\x80\x40\x20\x81" * 2, "sky.hdr", LIMIT)
+    np.testing.assert_array_equal(pixels, [[[1, 0.5, 0.25]] * 2])
+    assert len(notes) == bool(note)
+    assert all(note in line and line.startswith("sky.hdr: ") for line in notes)
+
+
+def test_exposure_and_colour_correction_are_both_divided_out():
+    header = b"#?RADIANCE\nexposure = 2\nCOLORCORR=1 2 4\nEXPOSURE=0.5\n\n-Y 1 +X 1\n"
+    pixels, notes = decode_radiance(header + b"\x80\x80\x80\x81", "sky.hdr", LIMIT)
+    np.testing.assert_allclose(pixels, [[[1, 0.5, 0.25]]])
+    assert notes == ()
