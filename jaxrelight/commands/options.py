@@ -45,9 +45,9 @@ class LightOptions:
     """The environment; what is not given is the scene's."""
 
     env: pathlib.Path | None = None
-    """A picture of the whole sphere: .exr, .hdr, .png or .jpg."""
-    layout: Literal["auto", "latlong", "strip", "cross"] = "auto"
-    """How that picture shows it: as a lat-long map, or as cube faces in a strip or a cross."""
+    """A picture of the whole sphere: .exr, .hdr, .png, .jpg, .webp or .tga."""
+    layout: Literal["auto", "latlong", "strip", "cross", "openexr_cube", "probe", "mirror_ball"] = "auto"
+    """How that picture shows it: as a lat-long map, as cube faces, or as a disc, probe or mirror ball."""
     rotate_y: float | None = None
     """Degrees that it is turned about +y, counter-clockwise seen from above."""
     scale: float | None = None

@@ -104,8 +104,9 @@ def environment(
         pixels: radiance of the whole sphere; a fourth channel is ignored.
         rotate_y: see `Environment`.
         scale: see `Environment`.
-        layout: "latlong", or how the faces of a cube lie in the picture: "strip" or "cross"; see `lights.layouts`.
-            "auto" goes by the picture's sides and notes what it guessed.
+        layout: "latlong"; how the faces of a cube lie in the picture, "strip", "cross" or "openexr_cube"; or "probe" or
+            "mirror_ball" for a disc; see `lights.layouts`. "auto" goes by the picture's sides and its corners, and
+            notes what it guessed.
         zero_nonfinite: set NaN and infinite pixels to 0 and count them, instead.
         name: what messages call it.
 
@@ -154,11 +155,18 @@ def load_environment(
     layout: str = "auto",
     zero_nonfinite: bool = False,
 ) -> Environment:
-    """An environment from an image file; see `environment`. PNG and JPEG are decoded from sRGB to radiance 0 … 1."""
-    from jaxrelight.images import read_image
+    """An environment from an image file; see `environment`. PNG and JPEG are decoded from sRGB to radiance 0 … 1.
 
-    name = pathlib.Path(path).name
-    return environment(read_image(path), rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite, name=name)
+    Where `layout` is "auto", the attribute `envmap` of OpenEXR files says what it is.
+    """
+    from jaxrelight.images import open_image
+
+    image, name = open_image(path), pathlib.Path(path).name
+    if layout == "auto" and image.envmap is not None:
+        layout = {"latlong": "latlong", "cube": "openexr_cube"}[image.envmap]
+    made = environment(image.pixels, rotate_y, scale, layout=layout, zero_nonfinite=zero_nonfinite, name=name)
+    notes = tuple(note.replace(str(path), name, 1) for note in image.notes)
+    return Environment(made.pixels, made.rotate_y, made.scale, (*notes, *made.notes))
 
 
 def coarsened(pixels: Float[Array | np.ndarray, "h w c"], resolution: int) -> Float[Array | np.ndarray, "g u c"]:

@@ -108,7 +108,7 @@ def test_a_picture_of_four_to_three_is_a_cross_only_if_its_corners_are_empty():
         ((4, 8), "strip", "6:1 or 1:6"),
         ((4, 24), "cross", "4:3 or 3:4"),
         ((0, 6), "strip", "shape"),
-        ((4, 8), "cube", "use one of auto, latlong, strip, cross"),
+        ((4, 8), "cube", "use one of auto, latlong, strip, cross, openexr_cube, probe, mirror_ball"),
     ],
 )
 def test_a_layout_that_does_not_fit_is_refused(shape, layout, words):
