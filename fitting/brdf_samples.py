@@ -5,19 +5,25 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.errors import InputError
 from jaxrelight.numerics.arrays import as_array
+
+# By how much the length of a unit vector may be off, as where it was written with two digits.
+_LENGTH_TOLERANCE = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
 class BrdfSamples:
     """Values f(ω_i, ω_o) without the cosine; a value that is not finite marks a sample as missing.
 
+    Directions are unit vectors in the local frame, whose z is the normal.
+
     Raises:
-        InputError: if the shapes do not belong together, or there are no samples.
+        InputError: if the shapes do not belong together, there are no samples, directions are not of unit length, or
+            most samples have one below the surface.
     """
 
     omega_i: Float[np.ndarray, "s 3"]
@@ -31,6 +37,27 @@ class BrdfSamples:
         for name in ("omega_i", "omega_o"):
             if getattr(self, name).shape != (s, 3):
                 raise InputError(f"{name} must have the shape [{s}, 3], not {list(getattr(self, name).shape)}")
+            length = np.linalg.norm(np.asarray(getattr(self, name), float), axis=-1)
+            wrong = np.isfinite(length) & (np.abs(length - 1) > _LENGTH_TOLERANCE)
+            if wrong.any():
+                raise InputError(
+                    f"{wrong.sum():,} of {s:,} vectors of {name} are not of length 1, the first of "
+                    f"{length[wrong][0]:.3g}; divide each by its length"
+                )
+        below = s - int(self.is_above().sum())
+        if below > s / 2:
+            raise InputError(
+                f"{below:,} of {s:,} samples have a direction below the surface (z < 0); the normal is z, so turn "
+                "directions with y up, (x, y, z) to (x, -z, y), and leave out samples of the other side"
+            )
+
+    def is_above(self) -> Bool[np.ndarray, " s"]:
+        """Whether neither direction is below the surface; a direction that is not finite is not known to be."""
+        return ~((self.omega_i[:, 2] < 0) | (self.omega_o[:, 2] < 0))
+
+    def is_finite(self) -> Bool[np.ndarray, " s"]:
+        """Whether a sample and its directions are known."""
+        return np.all([np.isfinite(part).all(axis=-1) for part in (self.values, self.omega_i, self.omega_o)], axis=0)
 
     def angles(self) -> dict[str, Float[np.ndarray, " s"]]:
         """In degrees: of the light ("incident"), of the half vector ("half"), and between both ("difference")."""

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from fitting.brdf_samples import BrdfSamples, Grid, sample
+from fitting.energy import albedo_error
 from fitting.residual_by_angle import Residual
 from fitting.solve import Options, Verdict, fit_lobes
 from fitting.weights import weights
@@ -15,6 +16,9 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.errors import InputError
 from jaxrelight.numerics.arrays import as_array
+
+# A fit whose albedo is further from the data's than this share of it is not good.
+ALBEDO_TOLERANCE = 0.15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,11 +33,15 @@ class LafortuneFit:
             of incidence ("incident"), of the half vector ("half") and of the light to it ("difference"); NaN where
             there are none.
         by_difference_and_half: the same between two of them of the difference angle and two of the half angle.
-        verdict: judged by residual and uncertainty, never by whether a solver stopped.
+        verdict: judged by residual and uncertainty, never by whether a solver stopped; and, of a fit that is good in
+            these, by the light that it reflects and by what was held out.
+        albedo_error: the largest relative difference of directional albedos of the fit and the data; see
+            `energy.albedo_error`.
         exponent_deviation: standard deviation of each log exponent, from the Jacobian; [l, c1].
         C_deviation: that of the direction of C, in radians; [l, c1].
         used: number of samples with weight.
         masked: number of samples left out because they are not finite.
+        below: number of samples left out because a direction is below the surface.
     """
 
     brdf: LobeSum
@@ -46,6 +54,20 @@ class LafortuneFit:
     C_deviation: Float[np.ndarray, "l c1"]
     used: int
     masked: int
+    below: int
+    albedo_error: float
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A line for every reason that samples were left out for."""
+        lines = []
+        if self.below:
+            lines.append(
+                f"{self.below:,} samples have a direction below the surface and were left out; the normal is z, not y"
+            )
+        if self.masked:
+            lines.append(f"{self.masked:,} samples are not finite and were left out")
+        return tuple(lines)
 
 
 def fit_lafortune(
@@ -85,18 +107,30 @@ def fit_lafortune(
         options=options,
     )
     brdf, without = (jax.tree.map(lambda leaf, i=i: leaf[i], fits.brdf) for i in (0, 1))
-    residual = Residual(brdf, samples, weight_of)
+    # What is below the surface takes part in no figure.
+    compared = np.where(samples.is_above(), weight_of, 0)
+    above = samples.is_above() & samples.is_finite()
+    residual = Residual(brdf, samples, compared)
+    held_out = Residual(without, samples, compared).over(held)
+    energy = albedo_error(brdf, material)
+    verdict = Verdict(int(fits.verdict[0]))
+    if verdict == Verdict.GOOD and energy > ALBEDO_TOLERANCE:
+        verdict = Verdict.ENERGY
+    elif verdict == Verdict.GOOD and held_out > options.poor:
+        verdict = Verdict.HELD_OUT
     return LafortuneFit(
         brdf=brdf,
         residual=float(fits.residual[0]),
-        held_out=Residual(without, samples, weight_of).over(held),
+        held_out=held_out,
         by_angle={name: residual.by(name) for name in samples.angles()},
         by_difference_and_half=residual.by_both("difference", "half"),
-        verdict=Verdict(int(fits.verdict[0])),
+        verdict=verdict,
         exponent_deviation=np.asarray(fits.exponent_deviation[0]),
         C_deviation=np.asarray(fits.C_deviation[0]),
         used=int(fits.used[0]),
-        masked=int(fits.masked[0]),
+        masked=int(samples.is_above().sum() - above.sum()),
+        below=int((~samples.is_above()).sum()),
+        albedo_error=energy,
     )
 
 

@@ -21,7 +21,7 @@ class Residual:
     """
 
     def __init__(self, brdf: Brdf, samples: BrdfSamples, weight: Float[np.ndarray, " s"]):
-        values = _evaluate(brdf, as_array(samples.omega_i, jnp.float32), as_array(samples.omega_o, jnp.float32))
+        values = evaluate(brdf, samples.omega_i, samples.omega_o)
         used = np.isfinite(samples.values).all(axis=-1) & (weight > 0)
         weight = np.where(used, weight, 0)
         known = np.where(used[:, None], samples.values, 0)
@@ -44,6 +44,11 @@ class Residual:
         row, column = self._bins[rows], self._bins[columns]
         every = range(len(DEGREES) - 1)
         return np.array([[self.over((row == i) & (column == j)) for j in every] for i in every])
+
+
+def evaluate(brdf: Brdf, omega_i: Float[np.ndarray, "s 3"], omega_o: Float[np.ndarray, "s 3"]) -> Float[Array, "s c"]:
+    """Values of a BRDF in pairs of directions."""
+    return _evaluate(brdf, as_array(omega_i, jnp.float32), as_array(omega_o, jnp.float32))
 
 
 @eqx.filter_jit

@@ -15,6 +15,7 @@ class Samples(eqx.Module):
         root_weight: square roots of the weights, which sum to 1; 0 where a sample is masked.
         scale: weighted root mean square of f, or 1 where that is 0.
         masked: how many samples of positive weight were not finite in some channel or direction.
+        below: how many others of positive weight have a direction below the surface.
         used: how many samples have any weight.
     """
 
@@ -23,6 +24,7 @@ class Samples(eqx.Module):
     root_weight: Float[Array, " s"]
     scale: Float[Array, ""]
     masked: Int[Array, ""]
+    below: Int[Array, ""]
     used: Int[Array, ""]
 
 
@@ -56,6 +58,7 @@ def prepare(
         root_weight=jnp.where(weight > 0, jnp.sqrt(jnp.where(weight > 0, weight, 1)), 0),
         scale=scale,
         masked=jnp.sum(wanted & ~finite),
+        below=jnp.sum(wanted & finite & ~above),
         used=jnp.sum(used),
     )
 

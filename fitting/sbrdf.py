@@ -59,7 +59,7 @@ class SbrdfFit:
     def counts(self) -> dict[str, int]:
         """Texels by verdict."""
         flags = self.level.flag[self.mask]
-        return {verdict.name.lower(): int((flags == verdict).sum()) for verdict in Verdict if (flags == verdict).any()}
+        return {str(verdict): int((flags == verdict).sum()) for verdict in Verdict if (flags == verdict).any()}
 
 
 def fit_sbrdf(

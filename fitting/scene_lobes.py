@@ -7,8 +7,8 @@ import pathlib
 
 import numpy as np
 
-from fitting.lafortune import fit_lafortune
-from fitting.solve import Options
+from fitting.lafortune import ALBEDO_TOLERANCE, fit_lafortune
+from fitting.solve import Options, Verdict
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.files.fitted import read_fitted, write_lobes
 from jaxrelight.brdf.lobes import LobeSum
@@ -75,7 +75,9 @@ def _lobes(brdf: Brdf) -> tuple[LobeSum, str]:
     def digest(array: np.ndarray) -> str:
         return hashlib.sha256(np.ascontiguousarray(array).data).hexdigest()
 
-    key = store.key_of(json.dumps(to_record(brdf, digest), sort_keys=True), dataclasses.astuple(_OPTIONS))
+    # The account holds a verdict: a fit that was kept is judged by the same ones.
+    judged = *dataclasses.astuple(_OPTIONS), *(str(verdict) for verdict in Verdict), ALBEDO_TOLERANCE
+    key = store.key_of(json.dumps(to_record(brdf, digest), sort_keys=True), judged)
     path = store.default_folder("fits") / f"lobes-{key}.toml"
     try:
         lobes = read_fitted(path)
@@ -85,7 +87,7 @@ def _lobes(brdf: Brdf) -> tuple[LobeSum, str]:
         fit = fit_lafortune(brdf, _OPTIONS)
     account = (
         f"{_OPTIONS.lobes} fitted lobes stand for its BRDF; they are {fit.residual:.1%} off ({fit.held_out:.1%} where "
-        f"not fitted), {fit.verdict.name.lower().replace('_', ' ')}"
+        f"not fitted), {str(fit.verdict).replace('_', ' ')}"
     )
     _keep(path, fit.brdf, account)
     return fit.brdf, account

@@ -31,7 +31,7 @@ _MIN_RELATIVE_PEAK = 1e-4
 
 
 class Verdict(enum.IntEnum):
-    """What a fit is worth; of several that apply, the first after GOOD."""
+    """What a fit is worth; of several that apply, the first after GOOD. `fit_lafortune` alone gives the last two."""
 
     GOOD = 0
     NO_DATA = 1
@@ -40,6 +40,16 @@ class Verdict(enum.IntEnum):
     UNCERTAIN = 4
     AT_BOUND = 5
     POOR = 6
+    ENERGY = 7
+    HELD_OUT = 8
+
+    def __str__(self) -> str:
+        """Its name, in lower case."""
+        return self.name.lower()
+
+    def __format__(self, spec: str) -> str:
+        """Its name, in lower case, formatted as text is."""
+        return format(str(self), spec)
 
     @property
     def message(self) -> str:
@@ -52,6 +62,8 @@ class Verdict(enum.IntEnum):
             Verdict.UNCERTAIN: "the samples do not determine a lobe: add directions near the highlight, or fit fewer",
             Verdict.AT_BOUND: f"an exponent is at an end of its range, {EXPONENTS[0]:g} to {EXPONENTS[1]:g}",
             Verdict.POOR: "the residual is large: try more lobes, anisotropic ones, or ones per channel",
+            Verdict.ENERGY: "the lobes reflect more or less light than the data: weigh by log-cosine, try more lobes",
+            Verdict.HELD_OUT: "a fit to the others misses what was held out: add samples, or fit fewer lobes",
         }[self]
 
 
@@ -93,12 +105,13 @@ class Fits(eqx.Module):
 
     Attributes:
         brdf: lobes ordered by exponent, C with max|C| = 1, as the renderer takes them: `jax.vmap` over it.
-        residual: root mean square of fit − values over that of the values, weighted.
+        residual: root mean square of fit − values over that of the values, weighted; NaN where there are no data.
         exponent_deviation: standard deviation of log exponent, from the Jacobian, under independent errors as large as
             the residual; inf where nothing determines it.
         C_deviation: that of the direction of C, in radians; of its largest coordinate.
         verdict: a `Verdict`.
         masked: samples left out because they are not finite.
+        below: samples left out because a direction is below the surface.
         used: samples with weight.
     """
 
@@ -108,6 +121,7 @@ class Fits(eqx.Module):
     C_deviation: Float[Array, "*t l c1"]
     verdict: Int[Array, "*t"]
     masked: Int[Array, "*t"]
+    below: Int[Array, "*t"]
     used: Int[Array, "*t"]
 
 
@@ -188,11 +202,12 @@ def fit_one(
     verdict = _judge(samples, group_fits, relative, options)
     return Fits(
         brdf,
-        relative,
+        jnp.where(verdict == Verdict.NO_DATA, jnp.nan, relative),
         group_fits.exponent_deviation.T,
         group_fits.C_deviation.T,
         verdict,
         samples.masked,
+        samples.below,
         samples.used,
     )
 

@@ -15,8 +15,9 @@ command line, 130 when it was interrupted).
 
 lafortune: format (MERL, RGL or Cornell), weight, lobes, exponents (by lobe, then by channel), exponent_deviation (of
 their logarithms), C_deviation (radians), held_out (as residual, of samples that took no part), by_angle {incident,
-half, difference: residuals between multiples of 10 degrees}, verdict (good, no_data, black, constant, uncertain,
-at_bound or poor), meaning (of that), samples, masked (those that are not finite).
+half, difference: residuals between multiples of 10 degrees}, albedo_error (the largest relative difference of
+directional albedos), verdict (good, no_data, black, constant, uncertain, at_bound, poor, energy or held_out), meaning
+(of that), samples, masked (those that are not finite), below (those with a direction below the surface).
 
 factors: format, form, parametrisation, terms, resolution, bytes (of the maps in memory); with --refine, refined
 {before, after: residuals at directions that took no part} and refining_steps.

@@ -73,6 +73,7 @@ class Lafortune:
             report("fit", 0, 1)
             fit = fit_lafortune(measured.brdf, options, self.weight, self.hold_out)
             report("fit", 1, 1)
+        notes(list(fit.notes))
         if (albedo := float(fit.brdf.normal_albedo.max())) > 1.01:
             notes([f"the fit reflects {albedo:.3g} times the light it gets along the normal; try --weight log-cosine"])
         with timed(seconds, "write"):
@@ -90,10 +91,12 @@ class Lafortune:
             "residual": known(fit.residual),
             "held_out": known(fit.held_out),
             "by_angle": {name: known(values) for name, values in fit.by_angle.items()},
-            "verdict": fit.verdict.name.lower(),
+            "albedo_error": known(fit.albedo_error),
+            "verdict": str(fit.verdict),
             "meaning": fit.verdict.message,
             "samples": fit.used,
             "masked": fit.masked,
+            "below": fit.below,
         }
         if self.report is not None:
             with timed(seconds, "report"):
@@ -114,7 +117,8 @@ class Lafortune:
             f"weight    {self.weight}",
             f"residual  {percent(fit.residual)} of the data",
             f"held out  {percent(fit.held_out)} of data that a fit to the rest did not see",
-            f"verdict   {fit.verdict.name.lower()}: {fit.verdict.message}",
+            f"albedo    off by {percent(fit.albedo_error)} where it is furthest from the data's",
+            f"verdict   {fit.verdict}: {fit.verdict.message}",
         ]
         for number, deviation in enumerate(fit.exponent_deviation.max(axis=1), 1):
             remarks.append(f"lobe {number}    exponent known to {percent(deviation)}")

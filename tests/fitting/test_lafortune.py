@@ -46,7 +46,9 @@ def test_a_lobe_is_recovered_and_accounted_for():
     assert fit.verdict == Verdict.GOOD
     assert fit.residual < 1e-4
     assert fit.held_out < 1e-4
-    assert (fit.masked, fit.used) == (0, len(COARSE.directions()[0]))
+    assert (fit.masked, fit.below, fit.used) == (0, 0, len(COARSE.directions()[0]))
+    assert fit.notes == ()
+    assert fit.albedo_error < 1e-3
     np.testing.assert_allclose(fit.brdf.exponent, truth.exponent, rtol=1e-3)
     np.testing.assert_allclose(fit.brdf.C, truth.C, atol=1e-3)
     np.testing.assert_allclose(fit.brdf.scale, truth.scale, rtol=2e-3)
@@ -131,5 +133,82 @@ def test_bad_input_is_named():
         fit_lafortune(samples, grid=COARSE)
     with pytest.raises(InputError, match="omega_i must have the shape"):
         BrdfSamples(samples.omega_i[:3], samples.omega_o, samples.values)
+    with pytest.raises(InputError, match=r"\d+ of \d+ vectors of omega_o are not of length 1, the first of 2"):
+        BrdfSamples(samples.omega_i, 2 * samples.omega_o, samples.values)
     with pytest.raises(InputError, match="shape \\[samples, channels\\]"):
         BrdfSamples(samples.omega_i, samples.omega_o, samples.values[:, 0])
+
+
+def _scattered(count=500, seed=0):
+    """Directions of all of the sphere but a little."""
+    z = np.random.default_rng(seed).normal(size=(2, count, 3))
+    return z / np.linalg.norm(z, axis=-1, keepdims=True)
+
+
+def test_directions_with_y_up_are_refused_by_what_is_wrong():
+    up = _scattered()
+    up[..., 1] = np.abs(up[..., 1])
+    with pytest.raises(InputError, match=r"3\d\d of 500 samples have a direction below the surface .* the normal is z"):
+        BrdfSamples(up[0], up[1], np.ones((500, 3)))
+    turned = np.stack([up[..., 0], -up[..., 2], up[..., 1]], axis=-1)
+    assert BrdfSamples(turned[0], turned[1], np.ones((500, 3))).is_above().all()
+
+
+def test_samples_below_the_surface_are_counted_and_change_nothing():
+    truth = lobe_sum([0.3, 0.2, 0.1], [lobe([-1, -1, 0.9], 10.0, specular=0.5)])
+    samples = sample(truth, COARSE)
+    fit = fit_lafortune(samples)
+    omega_i, omega_o, values = samples.omega_i.copy(), samples.omega_o.copy(), samples.values.copy()
+    omega_i[::5, 2] *= -1
+    values[::5] = 1e3
+    values[1] = np.nan
+    other = fit_lafortune(BrdfSamples(omega_i, omega_o, values))
+    count = len(values)
+    assert (other.below, other.masked, other.used) == (-(-count // 5), 1, count - 1 - -(-count // 5))
+    assert [line.split(" ", 1)[1] for line in other.notes] == [
+        "samples have a direction below the surface and were left out; the normal is z, not y",
+        "samples are not finite and were left out",
+    ]
+    assert other.verdict == fit.verdict == Verdict.GOOD
+    assert max(other.residual, other.held_out, other.albedo_error) < 1e-3
+
+
+def test_verdicts_print_their_names():
+    assert [f"{verdict}" for verdict in Verdict] == [str(verdict) for verdict in Verdict]
+    assert f"{Verdict.NO_DATA} {Verdict.GOOD!s:>6}" == "no_data   good"
+    assert all(verdict.message for verdict in Verdict)
+
+
+def test_a_fit_that_reflects_another_share_of_light_is_not_good():
+    """By plain weights, a highlight outweighs the rest: one lobe for two of which the other is wide."""
+    truth = lobe_sum([0.05, 0.05, 0.05], [lobe([-1, -1, 1], n, specular=s) for n, s in ((400.0, 0.3), (8.0, 0.2))])
+    for material in (truth, sample(truth, COARSE)):
+        fit = fit_lafortune(material, weight="plain", grid=None if isinstance(material, BrdfSamples) else COARSE)
+        assert fit.residual < Options().poor
+        assert fit.albedo_error > 0.2
+        assert fit.verdict == Verdict.ENERGY
+
+
+def test_a_fit_that_does_not_predict_what_was_held_out_is_not_good():
+    samples = sample(lobe_sum(0.3, [lobe([-1, -1, 1], 20.0, specular=0.5)]), COARSE)
+    held = np.arange(len(samples.values)) * ((5**0.5 - 1) / 2) % 1 < 0.1
+    highlight = np.flatnonzero(held & (samples.values.mean(axis=-1) < 0.2))[:3]
+    values = samples.values.copy()
+    values[highlight] *= 6
+    fit = fit_lafortune(BrdfSamples(samples.omega_i, samples.omega_o, values), weight="plain")
+    assert fit.residual < Options().poor < fit.held_out
+    assert fit.verdict == Verdict.HELD_OUT
+
+
+@pytest.mark.parametrize("name", ["cornell_garnet_red.brdf", "rgl_cc_ibiza_sunset_rgb.bsdf"])
+@pytest.mark.slow
+def test_a_good_fit_of_a_measured_material_has_its_albedo_under_any_weight(name):
+    from jaxrelight.brdf.files import load_brdf
+
+    material = load_brdf(shared("data", "brdf", name)).brdf
+    for weight in ("plain", "cosine", "log-cosine"):
+        for lobes in (1, 2, 3):
+            fit = fit_lafortune(material, Options(lobes=lobes), weight)
+            assert fit.verdict != Verdict.GOOD or max(fit.albedo_error, fit.held_out) < 0.25
+            if weight == "plain":
+                assert fit.verdict in (Verdict.ENERGY, Verdict.UNCERTAIN)

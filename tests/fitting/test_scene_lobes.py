@@ -33,7 +33,7 @@ def fits(monkeypatch) -> list:
         made.append(brdf)
         lobes = jr.lobe_sum(0.1, [jr.lobe([-1, -1, 1], 40.0, peak=2.0)])
         nothing = np.zeros((0, 0))
-        account = [lobes, 0.07, 0.08, {}, nothing, fitting.Verdict.GOOD, nothing, nothing, 10, 0]
+        account = [lobes, 0.07, 0.08, {}, nothing, fitting.Verdict.GOOD, nothing, nothing, 10, 0, 0, 0.05]
         return fitting.LafortuneFit(*account)
 
     monkeypatch.setattr(fitting.scene_lobes, "fit_lafortune", fit)

@@ -81,6 +81,7 @@ def test_an_item_without_finite_samples_is_flagged_and_touches_no_other():
     assert bits(fits, good) == bits(fit(made().values), good)
     assert fits.verdict[17] == Verdict.NO_DATA
     assert fits.masked[17] == SAMPLES
+    np.testing.assert_array_equal(np.isnan(fits.residual), ~good)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(fits.brdf))
 
 
@@ -96,6 +97,7 @@ def test_samples_that_are_not_finite_count_as_samples_without_weight():
     np.testing.assert_array_equal(broken.brdf.scale, without.brdf.scale)
     np.testing.assert_array_equal(broken.masked, len({*range(0, SAMPLES, 7), 3}))
     np.testing.assert_array_equal(broken.used, without.used)
+    np.testing.assert_array_equal(broken.below, 0)
 
 
 def test_the_order_of_items_does_not_matter():
