@@ -24,7 +24,7 @@ def largest_albedo(material: Material) -> float:
         brdf = component.brdf
         if isinstance(brdf, SpatialLobes):
             brdf = brdf.packed("averaged").at(jnp.full(2, 0.5), 1.0)
-        weight = np.prod([np.mean(texture.pixels, axis=(0, 1)) for texture in component.weight], axis=0)
+        weight = np.prod([factor.mean for factor in component.weight], axis=0)
         total = total + np.asarray(_albedos(brdf, omega_o)) * weight
     return float(total.max())
 

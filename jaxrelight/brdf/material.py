@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.texture import Texture, Weight, constant
+from jaxrelight.brdf.texture import Texture, VertexColours, Weight, constant
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Numbers, as_numbers, float_dtype, module_of
 
@@ -47,8 +47,20 @@ class Material(eqx.Module):
 
         A normal map needs them even where it is constant: it bends normals along the directions of growing u and v.
         """
-        textures = [texture for component in self.components for texture in component.weight]
-        return self.normal_map is not None or self.is_spatial or not all(texture.is_constant for texture in textures)
+        return bool(self.uv_sets)
+
+    @property
+    def uv_sets(self) -> set[int]:
+        """Numbers of the sets of texture coordinates that it needs."""
+        textures = [one for component in self.components for one in component.weight if isinstance(one, Texture)]
+        sets = {texture.uv_set for texture in textures if not texture.is_constant}
+        sets |= {0} if self.is_spatial else set()
+        return sets | ({self.normal_map.uv_set} if self.normal_map is not None else set())
+
+    @property
+    def needs_colours(self) -> bool:
+        """Whether it can only be put on a mesh whose vertices have colours."""
+        return any(isinstance(one, VertexColours) for component in self.components for one in component.weight)
 
     @property
     def is_spatial(self) -> bool:

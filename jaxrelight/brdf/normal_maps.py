@@ -20,12 +20,14 @@ from jaxrelight.numerics.numbers import float_dtype
 NormalMaps = Sequence[Texture | None]
 # Between the eye and a normal that a map would turn away from it.
 _MIN_COSINE = 0.05
+# By which the length of a normal in an image of 8 bits, filtered and compressed, may differ from 1.
+_NORMAL_LENGTH_ERROR = 0.15
 
 
 def apply_normal_map(
     normals: Float[np.ndarray, "p 3"],
     u_axes: Float[np.ndarray, "p 4"],
-    uv: Float[np.ndarray, "p 2"],
+    uv: Float[np.ndarray, "p u"],
     bumps: Texture,
     footprint: Float[np.ndarray, " p"] | float = 0.0,
 ) -> Float[np.ndarray, "p 3"]:
@@ -47,13 +49,20 @@ def apply_normal_map(
     return np.where((length > 1e-6) & (size > 1e-6), turned / np.where(size > 0, size, 1), normals)
 
 
+def _u_axes(surfaces: Surfaces, bumps: Texture) -> Float[np.ndarray, "v 4"]:
+    """Directions of growing u in a map, as it lies on the surfaces; see `Surfaces.u_axes`."""
+    if bumps.uv_set == 0 and bumps.placement is None:
+        return surfaces.u_axes
+    return surfaces.u_axes_along(np.asarray(bumps.coordinates(surfaces.uv)))
+
+
 def at_vertices(surfaces: Surfaces, maps: NormalMaps) -> Surfaces:
     """Surfaces whose vertices' normals are bent."""
     normals = surfaces.normals.copy()
     for number, bumps in enumerate(maps):
         if bumps is not None:
             mine = surfaces.mesh_of_vertex == number
-            normals[mine] = apply_normal_map(normals[mine], surfaces.u_axes[mine], surfaces.uv[mine], bumps)
+            normals[mine] = apply_normal_map(normals[mine], _u_axes(surfaces, bumps)[mine], surfaces.uv[mine], bumps)
     return dataclasses.replace(surfaces, normals=normals) if any(maps) else surfaces
 
 
@@ -70,7 +79,7 @@ def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) ->
     for number, bumps in enumerate(maps):
         mine = np.flatnonzero(gbuffer.mesh == number)
         if bumps is not None and len(mine):
-            axes = np.einsum("pk,pkx->px", gbuffer.barycentric[mine], surfaces.u_axes[gbuffer.corners[mine]])
+            axes = np.einsum("pk,pkx->px", gbuffer.barycentric[mine], _u_axes(surfaces, bumps)[gbuffer.corners[mine]])
             turned = side[mine] * apply_normal_map(
                 side[mine] * normals[mine], axes, gbuffer.uv[mine], bumps, gbuffer.footprint[mine]
             )
@@ -88,3 +97,10 @@ def _turned_to_eye(
     least = np.minimum(_MIN_COSINE, np.sum(face_normals * omega_o, axis=1, keepdims=True))
     turned = normals + np.maximum(least - np.sum(normals * omega_o, axis=1, keepdims=True), 0) * omega_o
     return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def is_normal_map(pixels: Float[np.ndarray, "h w c"]) -> bool:
+    """Whether an image holds unit normals as (n + 1)/2 that lean to +z, rather than heights or colours."""
+    normals = 2 * pixels[..., :3].astype(float) - 1
+    of_unit_length = np.abs(np.linalg.norm(normals, axis=-1) - 1) < _NORMAL_LENGTH_ERROR
+    return pixels.shape[-1] >= 3 and bool((of_unit_length & (normals[..., 2] > 0)).mean() > 0.5)

@@ -12,7 +12,7 @@ def outgoing(
     reflection: Reflection,
     weight: Weight,
     omega_o: Float[Array, "p 3"],
-    uv: Float[Array, "p 2"],
+    uv: Float[Array, "p u"],
     footprint: Float[Array, " p"],
 ) -> Float[Array, "p k c"]:
     """The factor on each of the k light terms in the radiance that leaves points in local directions ω_o.
@@ -23,8 +23,8 @@ def outgoing(
         reflection: of the points.
         weight: on it, over the surface.
         omega_o: local directions to the eye.
-        uv: texture coordinates of the points.
-        footprint: the area of them that each stands for.
+        uv: surface coordinates of the points.
+        footprint: the area in the first set of texture coordinates that each stands for.
     """
     view = jax.vmap(reflection.view_side_at)(omega_o, uv, footprint)
     factor = jax.vmap(look_up, in_axes=(None, 0, 0))(weight, uv, footprint)

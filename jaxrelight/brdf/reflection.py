@@ -41,7 +41,7 @@ class Reflection(eqx.Module):
         """Whether it is known to be the same for all directions."""
         return False
 
-    def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Footprint) -> Array:
+    def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, " u"], footprint: Footprint) -> Array:
         """The same at texture coordinates, of which a pixel covers an area; where it varies over the surface."""
         return self.view_side(omega_o)
 

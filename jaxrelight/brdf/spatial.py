@@ -79,7 +79,7 @@ class SpatialLobes(eqx.Module):
         return PackedLobes(texture, self.lobes, self.channels)
 
     @jax.jit
-    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*#p"] | float = 0.0) -> LobeSum:
+    def at(self, uv: Float[Array, "*p u"], footprint: Float[Array, "*#p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates, see `PackedLobes.at`."""
         return self.packed().at(uv, footprint)
 
@@ -106,7 +106,7 @@ class PackedLobes(eqx.Module):
     channels: int = eqx.field(static=True)
 
     @jax.jit
-    def at(self, uv: Float[Array, "*p 2"], footprint: Float[Array, "*#p"] | float = 0.0) -> LobeSum:
+    def at(self, uv: Float[Array, "*p u"], footprint: Float[Array, "*#p"] | float = 0.0) -> LobeSum:
         """The BRDFs at texture coordinates; arrays lead with theirs. Differentiable in the maps.
 
         Parameters are interpolated between texels and levels. For scales these are the shares of light that lobes
@@ -119,11 +119,11 @@ class PackedLobes(eqx.Module):
             footprint: the area of them that a pixel of the picture covers.
         """
         covered = jnp.broadcast_to(jnp.asarray(footprint, uv.dtype), uv.shape[:-1])
-        flat = jax.vmap(self.texture.look_up)(uv.reshape(-1, 2), covered.reshape(-1))
+        flat = jax.vmap(self.texture.look_up)(uv.reshape(-1, uv.shape[-1]), covered.reshape(-1))
         return self._lobes(flat.reshape(*uv.shape[:-1], -1))
 
     @jax.jit
-    def around(self, uv: Float[Array, "2"], footprint: Footprint = 0.0) -> tuple[LobeSum, Float[Array, " m"]]:
+    def around(self, uv: Float[Array, " u"], footprint: Footprint = 0.0) -> tuple[LobeSum, Float[Array, " m"]]:
         """The BRDFs of the texels around texture coordinates, four of a level, and their weights.
 
         The weighted sum of what they reflect is reflectance interpolated, where `at` interpolates parameters.

@@ -63,7 +63,7 @@ class SpatialFactors(Reflection):
         return self.view_side_at(omega_o, jnp.full(2, 0.5, omega_o.dtype), jnp.inf)
 
     @jax.jit
-    def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Footprint) -> Array:
+    def view_side_at(self, omega_o: Float[Array, "3"], uv: Float[Array, " u"], footprint: Footprint) -> Array:
         """Σ_b w_b(u, v) h_bk(ω_o), [k, c]."""
         shapes = look_up(DISC, self.view_maps, omega_o)
         weights = self.weights.look_up(uv, footprint).reshape(shapes.shape[1], -1)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import pathlib
+from collections.abc import Sequence
 from typing import Literal
 
 # An image file, or the bytes of one.
@@ -28,6 +29,113 @@ class FilePicture:
     wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
 
+@dataclasses.dataclass(frozen=True)
+class Microfacets:
+    """glTF's metals and dielectrics, in whose place there is a Phong material.
+
+    Metals reflect their base colour, others about 4 %. A lobe as wide as roughness r makes it has the exponent
+    n = (1/r⁴ − 1)/2, that of Blinn's for α = r² divided by four, as cos α varies four times as fast as the half
+    vector's. Below 1 it is as good as diffuse, and taken as such.
+
+    Attributes:
+        base: linear colour.
+        metallic: 0 … 1.
+        roughness: 0 … 1.
+        base_picture: multiplies the colour.
+        picture: whose green multiplies the roughness and blue the metalness.
+        reflectance: of dielectrics, seen along the normal.
+    """
+
+    base: tuple[float, float, float]
+    metallic: float
+    roughness: float
+    base_picture: FilePicture | None = None
+    picture: FilePicture | None = None
+    reflectance: tuple[float, float, float] = (0.04, 0.04, 0.04)
+
+    def with_means(self, means: Sequence[float]) -> tuple["Microfacets", str]:
+        """The same where the picture counts by the means of its channels, and a note that tells so."""
+        mean = dataclasses.replace(self, metallic=self.metallic * means[2], roughness=self.roughness * means[1])
+        numbers = f"{mean.metallic:.2f} and {mean.roughness:.2f}"
+        return mean, f"its texture of metalness and roughness counts by its means, {numbers} everywhere"
+
+    def applied_to(self, material: "FileMaterial") -> "FileMaterial":
+        """A material with these colours and this exponent, and all else as it is."""
+        metallic, exponent = self.metallic, exponent_of(self.roughness)
+        textured = self.base_picture is not None
+        if exponent < 1:
+            pairs = zip(self.base, self.reflectance, strict=True)
+            colour = [c * (1 - metallic) + c * metallic + f * (1 - metallic) * (1 - c) for c, f in pairs]
+            diffuse, specular = colour, [0.0] * 3
+        else:
+            diffuse = [c * (1 - metallic) * (1 - max(self.reflectance)) for c in self.base]
+            # A textured metal's highlights have its colour; the small share of other surfaces' is white.
+            white = 0 if textured and metallic > 0.5 else 1 - metallic
+            specular = [c * metallic + white * f for c, f in zip(self.base, self.reflectance, strict=True)]
+        return dataclasses.replace(
+            material,
+            diffuse=as_colour(diffuse),
+            specular=as_colour(specular),
+            exponent=exponent if exponent >= 1 else 0.0,
+            diffuse_picture=self.base_picture,
+            specular_picture=self.base_picture if metallic > 0.5 and exponent >= 1 else None,
+            tints_specular=metallic > 0.5,
+            microfacets=self,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Glossiness:
+    """KHR_materials_pbrSpecularGlossiness, in whose place there is a Phong material as `Microfacets` has it.
+
+    Attributes:
+        diffuse: linear, of which there is as much as the specular colour leaves.
+        specular: linear, reflected along the normal.
+        glossiness: 1 − roughness.
+        diffuse_picture: multiplies the diffuse colour.
+        picture: multiplies the specular colour, and its alpha the glossiness.
+    """
+
+    diffuse: tuple[float, float, float]
+    specular: tuple[float, float, float]
+    glossiness: float
+    diffuse_picture: FilePicture | None = None
+    picture: FilePicture | None = None
+
+    def with_means(self, means: Sequence[float]) -> tuple["Glossiness", str]:
+        """The same where the alpha of the picture counts by its mean, and a note that tells so."""
+        mean = dataclasses.replace(self, glossiness=self.glossiness * means[3])
+        return mean, f"its texture of glossiness counts by its mean, {mean.glossiness:.2f} everywhere"
+
+    def applied_to(self, material: "FileMaterial") -> "FileMaterial":
+        """A material with these colours and this exponent, and all else as it is."""
+        exponent = exponent_of(1 - self.glossiness)
+        diffuse = [c * (1 - max(self.specular)) for c in self.diffuse]
+        wide = exponent < 1 and self.picture is None and self.diffuse_picture is None
+        if wide:
+            diffuse = [d + s for d, s in zip(diffuse, self.specular, strict=True)]
+        return dataclasses.replace(
+            material,
+            diffuse=as_colour(diffuse),
+            specular=(0.0, 0.0, 0.0) if wide else self.specular,
+            exponent=0.0 if wide else exponent,
+            diffuse_picture=self.diffuse_picture,
+            specular_picture=self.picture,
+            microfacets=self,
+        )
+
+
+def exponent_of(roughness: float) -> float:
+    """The exponent of a Phong lobe as wide as a roughness makes it, see `Microfacets`."""
+    return (1 / max(roughness, 0.05) ** 4 - 1) / 2
+
+
+def as_colour(numbers: Sequence[float]) -> tuple[float, float, float]:
+    """Three numbers."""
+    red, green, blue = numbers
+    return red, green, blue
+
+
 @dataclasses.dataclass
 class FileMaterial:
     """A material as a file describes it, in terms of diffuse/π + specular·(n + 2)/(2π)·max(0, cos α)ⁿ.
@@ -46,6 +154,9 @@ class FileMaterial:
         tints_specular: whether the colours of vertices multiply the specular colour, too, as they do on metals. They
             always multiply the diffuse colour.
         two_sided: whether the back is a surface, too.
+        microfacets: what its colours and exponent stand for, if anything. Where that has a texture of roughness, they
+            are made anew from the means of the texture when it is read.
+        unlit: whether it is of its diffuse colour in any light.
         notes: what was approximated or left out.
     """
 
@@ -61,30 +172,6 @@ class FileMaterial:
     emission_picture: FilePicture | None = None
     tints_specular: bool = False
     two_sided: bool = False
+    microfacets: Microfacets | Glossiness | None = None
+    unlit: bool = False
     notes: list[str] = dataclasses.field(default_factory=list)
-
-
-def metallic_roughness(
-    base: tuple[float, float, float], metallic: float, roughness: float, picture: FilePicture | None
-) -> FileMaterial:
-    """A Phong material in place of glTF's microfacets.
-
-    Metals reflect their base colour, others 4 %. A lobe as wide as roughness r makes it has the exponent
-    n = (1/r⁴ − 1)/2, that of Blinn's for α = r² divided by four, as cos α varies four times as fast as the half
-    vector's. Below 1 it is as good as diffuse, and taken as such.
-    """
-    exponent = (1 / max(roughness, 0.05) ** 4 - 1) / 2
-    textured = picture is not None
-    if exponent < 1:
-        colour = tuple(c * (1 - metallic) + c * metallic + 0.04 * (1 - metallic) * (1 - c) for c in base)
-        return FileMaterial(colour, diffuse_picture=picture)  # pyright: ignore[reportArgumentType]
-    diffuse = tuple(c * (1 - metallic) * 0.96 for c in base)
-    # A textured metal's highlights have its colour; the small share of other surfaces' is white.
-    specular = tuple(c * metallic + (0 if textured and metallic > 0.5 else 0.04 * (1 - metallic)) for c in base)
-    return FileMaterial(
-        diffuse,  # pyright: ignore[reportArgumentType]
-        specular,  # pyright: ignore[reportArgumentType]
-        exponent,
-        diffuse_picture=picture,
-        specular_picture=picture if metallic > 0.5 else None,
-    )

@@ -34,8 +34,8 @@ class GBuffer:
         face_normals: unit geometric normals.
         tangents: interpolated, see `Surfaces.tangents`.
         positions: in scene space.
-        uv: texture coordinates.
-        footprint: area in texture coordinates that a pixel covers.
+        uv: surface coordinates.
+        footprint: area in the first set of texture coordinates that a pixel covers.
         mesh: number of the mesh seen.
         omega_o: unit direction back to the eye.
     """
@@ -50,7 +50,7 @@ class GBuffer:
     normals: Float[np.ndarray, "p 3"]
     face_normals: Float[np.ndarray, "p 3"]
     tangents: Float[np.ndarray, "p 3"]
-    uv: Float[np.ndarray, "p 2"]
+    uv: Float[np.ndarray, "p u"]
     footprint: Float[np.ndarray, " p"]
     mesh: Int[np.ndarray, " p"]
     omega_o: Float[np.ndarray, "p 3"]
@@ -103,7 +103,7 @@ def trace_points(
     back = surfaces.two_sided[mesh] & (np.sum(face_normal * flat[covered], axis=1) > 0)
     side = np.where(back, -1.0, 1.0)[:, None]
     positions = interpolated(surfaces.vertices)
-    footprint, uv, tangents = np.zeros(len(face)), np.zeros((len(face), 2)), np.zeros((len(face), 3))
+    footprint, uv, tangents = np.zeros(len(face)), np.zeros((len(face), surfaces.uv.shape[1])), np.zeros((len(face), 3))
     if surfaces.has_uv:
         distance = np.linalg.norm(positions - (origin if origin.ndim == 1 else origin[covered]), axis=1)
         cosine = np.abs(np.sum(face_normal * flat[covered], axis=1))

@@ -1,23 +1,18 @@
-"""glTF 2.0 files: triangles of all nodes, moved into place, a part for each material."""
+"""glTF 2.0 files: triangles of all nodes, moved into place and posed, a part for each material."""
 
-import base64
-import json
 import pathlib
 import struct
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.creases import FLAT_FACE
-from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, metallic_roughness
+from jaxrelight.geometry.gltf_content import MAX_CORNERS, Content
+from jaxrelight.geometry.gltf_materials import read_material, uv_sets_of
+from jaxrelight.geometry.gltf_nodes import instances, joint_matrices, scene_nodes, surroundings
 from jaxrelight.geometry.raw_mesh import FilePart, RawMesh
-
-_NUMBERS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_MAX_CORNERS = 2**28  # instances of one mesh can ask for more than any memory
-_KNOWN = ("KHR_materials_", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_lights_punctual")
 
 
 def read_glb(data: bytes, folder: pathlib.Path) -> RawMesh:
@@ -41,266 +36,233 @@ def read_glb(data: bytes, folder: pathlib.Path) -> RawMesh:
         elif kind == b"BIN\0" and binary is None:
             binary = data[at + 8 : at + 8 + size]
         at += 8 + size
-    return _Reader(text, binary, folder).mesh()
+    return _read(Content(text, binary, folder))
 
 
 def read_gltf(data: bytes, folder: pathlib.Path) -> RawMesh:
     """A glTF file in text, with its buffers within or beside it."""
-    return _Reader(data, None, folder).mesh()
+    return _read(Content(data, None, folder))
 
 
-class _Reader:
-    """Looks things up in a file's JSON; whatever is missing or of the wrong kind raises."""
+class _Primitive(NamedTuple):
+    """Triangles of one material, as a mesh has them.
 
-    def __init__(self, text: bytes, binary: bytes | None, folder: pathlib.Path):
-        try:
-            self.json: Any = json.loads(text)
-        except (ValueError, RecursionError):
-            raise InputError("its description is no JSON; export or copy it again") from None
-        if not isinstance(self.json, dict) or not str(self.json.get("asset", {}).get("version", "")).startswith("2"):
-            raise InputError("not a glTF 2.0 file; export it as glTF 2.0")
-        asked = [name for name in self.json.get("extensionsRequired", []) if not str(name).startswith(_KNOWN)]
-        if asked:
-            raise InputError(f"needs the extension {str(asked[0])[:40]}, which is not read; export it without")
-        self.folder, self.notes = folder, []
-        self.buffers: list[bytes] = []
-        for number, entry in enumerate(self.json.get("buffers", [])):
-            content = self._bytes(entry["uri"]) if "uri" in entry else binary if number == 0 else None
-            if content is None or len(content) < entry["byteLength"]:
-                raise InputError(f"cut short: buffer {number} has {entry['byteLength']} bytes promised; copy it again")
-            self.buffers.append(content)
+    Attributes:
+        points: positions.
+        faces: vertex numbers.
+        normals: None where the file has none.
+        uv: sets of texture coordinates up to the highest that the material follows, v upwards; NaN where absent.
+        colours: linear; None where the file has none.
+        bones: numbers of the joints that each vertex follows, and how much; None without a skin.
+    """
 
-    def _bytes(self, uri: str) -> bytes:
-        if uri.startswith("data:"):
-            return base64.b64decode(uri.split(",", 1)[1])
-        try:
-            if not (self.folder / uri).is_file():
-                raise OSError("a pipe or a device could go on for ever")
-            return (self.folder / uri).read_bytes()
-        except (OSError, ValueError):
-            raise InputError(f"its buffer '{uri[:80]}' cannot be read; put it beside the file") from None
+    points: Float[np.ndarray, "v 3"]
+    faces: Int[np.ndarray, "f 3"]
+    normals: Float[np.ndarray, "v 3"] | None
+    uv: Float[np.ndarray, "v u"]
+    colours: Float[np.ndarray, "v 3"] | None
+    bones: tuple[Int[np.ndarray, "v b"], Float[np.ndarray, "v b"]] | None
 
-    def mesh(self) -> RawMesh:
-        """Everything that the default scene shows."""
-        count = len(self.json.get("materials", []))
-        parts: dict[int, list] = {}
-        corners = 0
-        for matrix, number in self._instances():
-            for primitive in self.json["meshes"][number]["primitives"]:
-                arrays = self._primitive(primitive)
-                if arrays is None:
-                    continue
-                corners += len(arrays[0]) + 3 * len(arrays[1])
-                if corners > _MAX_CORNERS:
-                    raise InputError("has more than 268 million vertices and corners; export less of it")
-                material = primitive.get("material", -1)
-                parts.setdefault(material if 0 <= material < count else -1, []).append(_moved(matrix, *arrays))
-        return self._joined(parts)
 
-    def _instances(self):
-        """(matrix, mesh number) of all nodes that are in the scene."""
-        nodes = self.json.get("nodes", [])
-        if self.json.get("scenes"):
-            roots = self.json["scenes"][self.json.get("scene", 0)].get("nodes", [])
-        else:
-            roots = set(range(len(nodes))) - {child for node in nodes for child in node.get("children", [])}
-        waiting = [(number, np.eye(4)) for number in sorted(roots)]
-        visited = set()
-        while waiting:
-            number, above = waiting.pop()
-            if number in visited or number < 0:
-                raise InputError(f"node {number} is below several others; export it again")
-            visited.add(number)
-            node = nodes[number]
-            matrix = above @ _matrix(node)
-            waiting += [(child, matrix) for child in node.get("children", [])]
-            if "skin" in node or any("targets" in p for p in self._primitives(node)):
-                self._note("skins and morph targets are left out: it is in its rest pose")
-            if "mesh" in node:
-                yield matrix, node["mesh"]
+def _read(content: Content) -> RawMesh:
+    """Everything that the default scene shows."""
+    count, nodes = len(content.entries("materials")), list(scene_nodes(content))
+    parts: dict[int, list[_Primitive]] = {}
+    corners = 0
+    for node in nodes:
+        if "mesh" not in node.entry:
+            continue
+        mesh = content.entries("meshes")[node.entry["mesh"]]
+        weights = [float(weight) for weight in node.entry.get("weights", mesh.get("weights", []))]
+        skin = joint_matrices(content, node.entry["skin"]) if "skin" in node.entry else None
+        places = [node.matrix] if skin is not None else instances(content, node)
+        for entry in mesh["primitives"]:
+            primitive = _primitive(content, entry, weights)
+            if primitive is None:
+                continue
+            corners += (len(primitive.points) + 3 * len(primitive.faces)) * len(places)
+            if corners > MAX_CORNERS:
+                raise InputError("has more than 268 million vertices and corners; export less of it")
+            material = entry.get("material", -1)
+            group = parts.setdefault(material if 0 <= material < count else -1, [])
+            if skin is not None and primitive.bones is not None:
+                content.note("meshes with skins stand as their joints do")
+                group.append(_posed(skin, primitive))
+            else:
+                group += [_moved(place, primitive) for place in places]
+    raw = _joined(content, parts)
+    raw.surroundings = surroundings(content, nodes)
+    return raw
 
-    def _primitives(self, node) -> list:
-        return self.json["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []
 
-    def _note(self, note: str):
-        if note not in self.notes:
-            self.notes.append(note)
+def _primitive(content: Content, entry: dict, weights: list[float]) -> _Primitive | None:
+    """A primitive in the shape that the weights of its morph targets give it; None for points and lines."""
+    names = entry.get("attributes", {})
+    if "POSITION" not in names:
+        if "KHR_draco_mesh_compression" in entry.get("extensions", {}):
+            raise InputError("is compressed (KHR_draco_mesh_compression), which is not read; export it without")
+        return None
+    if entry.get("mode", 4) < 4:
+        content.note("points and lines are left out")
+        return None
+    _check_primitive(content, entry)
+    points = content.accessor(names["POSITION"], 3).astype(float)
+    count = len(points)
+    indices = entry.get("indices")
+    order = np.arange(count) if indices is None else content.accessor(indices, 1)[:, 0].astype(np.int64)
+    materials, number = content.entries("materials"), entry.get("material", -1)
+    wanted = uv_sets_of(materials[number]) if 0 <= number < len(materials) else set()
+    sets, there = [np.full((count, 2), np.nan) for _ in range(max(wanted, default=0) + 1)], []
+    for uv_set in {0, *wanted}:
+        if f"TEXCOORD_{uv_set}" in names:
+            sets[uv_set] = content.accessor(names[f"TEXCOORD_{uv_set}"], 2).astype(float)
+            there.append(uv_set)
+    normals = content.accessor(names["NORMAL"], 3).astype(float) if "NORMAL" in names else None
+    colours = content.accessor(names["COLOR_0"], (3, 4), fractions=True) if "COLOR_0" in names else None
+    colours = None if colours is None else colours[:, :3].astype(float)
+    columns = {"POSITION": points, "NORMAL": normals, "COLOR_0": colours}
+    columns |= {f"TEXCOORD_{uv_set}": sets[uv_set] for uv_set in there}
+    if any(values is not None and len(values) != count for values in columns.values()):
+        raise InputError("a primitive's attributes differ in length; export it again")
+    _morph(content, entry.get("targets", []), weights, columns)
+    for uv_set in there:
+        sets[uv_set][:, 1] = 1 - sets[uv_set][:, 1]  # v counts downwards there
+    faces = _triangles(order, entry.get("mode", 4))
+    return _Primitive(points, faces, normals, np.concatenate(sets, axis=1), colours, _bones(content, names, count))
 
-    def _primitive(self, primitive):
-        """(positions, triangles, normals or None, uv or None); None for points and lines."""
-        names = primitive.get("attributes", {})
-        if "POSITION" not in names:
-            return None
-        points = self._accessor(names["POSITION"], 3).astype(float)
-        indices = primitive.get("indices")
-        order = np.arange(len(points)) if indices is None else self._accessor(indices, 1)[:, 0].astype(np.int64)
-        mode = primitive.get("mode", 4)
-        if mode == 4:
-            faces = order[: len(order) // 3 * 3].reshape(-1, 3)
-        elif mode == 5:
-            faces = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
-            faces[1::2] = faces[1::2, ::-1]
-        elif mode == 6:
-            faces = np.stack([np.broadcast_to(order[:1], order[2:].shape), order[1:-1], order[2:]], axis=1)
-        else:
-            faces = np.zeros((0, 3), np.int64)
-        normals = self._accessor(names["NORMAL"], 3).astype(float) if "NORMAL" in names else None
-        channel = self._texture_set(primitive.get("material", -1))
-        uv = self._accessor(names[channel], 2).astype(float) if channel in names else None
-        if any(values is not None and len(values) != len(points) for values in (normals, uv)):
+
+def _check_primitive(content: Content, entry: dict) -> None:
+    """Notes what a primitive has that is not read, and refuses one that is there in compressed form alone."""
+    extensions, names = entry.get("extensions", {}), entry["attributes"]
+    if "KHR_draco_mesh_compression" in extensions:
+        position = content.entries("accessors")[names["POSITION"]]
+        if "bufferView" not in position and "sparse" not in position:
+            raise InputError("is compressed (KHR_draco_mesh_compression), which is not read; export it without")
+    left_out = sorted(name for name in extensions if name != "KHR_draco_mesh_compression")
+    if left_out:
+        content.note(f"extensions are left out: {', '.join(str(name)[:40] for name in left_out)}")
+    if any(name.startswith("COLOR_") and name != "COLOR_0" for name in names):
+        content.note("colours of vertices beyond the first set are left out")
+    materials, number = content.entries("materials"), entry.get("material", -1)
+    if "TANGENT" in names and 0 <= number < len(materials) and "normalTexture" in materials[number]:
+        content.note("tangents are left out: normal maps follow the directions of texture coordinates")
+
+
+def _triangles(order: Int[np.ndarray, " n"], mode: int) -> Int[np.ndarray, "f 3"]:
+    """Faces of a list, a strip or a fan."""
+    if mode == 5:
+        faces = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+        faces[1::2] = faces[1::2, ::-1]
+        return faces
+    if mode == 6:
+        return np.stack([np.broadcast_to(order[:1], order[2:].shape), order[1:-1], order[2:]], axis=1)
+    return order[: len(order) // 3 * 3].reshape(-1, 3)
+
+
+def _morph(content: Content, targets: list[dict], weights: list[float], columns: dict[str, np.ndarray | None]) -> None:
+    """Adds the displacements of morph targets, by their weights, to the columns of vertices."""
+    widths = {"POSITION": 3, "NORMAL": 3, "COLOR_0": (3, 4)}
+    for target, weight in zip(targets, weights, strict=False):
+        for name, number in target.items() if weight else ():
+            values = columns.get(name)
+            if values is None:
+                continue
+            moved = content.accessor(number, widths.get(name, 2), fractions=name == "COLOR_0")
+            if len(moved) != len(values):
+                raise InputError("a morph target differs in length from its mesh; export it again")
+            values += weight * moved[:, : values.shape[1]]
+
+
+def _bones(content: Content, names: dict, count: int) -> tuple[Int[np.ndarray, "v b"], Float[np.ndarray, "v b"]] | None:
+    """The joints that vertices follow, and by how much of 1."""
+    joints, shares = [], []
+    while f"JOINTS_{len(joints)}" in names and f"WEIGHTS_{len(joints)}" in names:
+        number = len(joints)
+        joints.append(content.accessor(names[f"JOINTS_{number}"], 4).astype(np.int64))
+        shares.append(content.accessor(names[f"WEIGHTS_{number}"], 4, fractions=True).astype(float))
+        if not len(joints[-1]) == len(shares[-1]) == count:
             raise InputError("a primitive's attributes differ in length; export it again")
-        if uv is not None:
-            uv[:, 1] = 1 - uv[:, 1]  # v counts downwards there
-        return points, faces, normals, uv
-
-    def _texture_set(self, material: int) -> str:
-        materials = self.json.get("materials", [])
-        look = materials[material] if 0 <= material < len(materials) else {}
-        pbr = look.get("pbrMetallicRoughness", {})
-        texture = pbr.get("baseColorTexture", look.get("normalTexture", {}))
-        return f"TEXCOORD_{int(texture.get('texCoord', 0))}"
-
-    def _accessor(self, number: int, width: int) -> np.ndarray:
-        """The rows of an accessor; normalized whole numbers as fractions."""
-        entry = self.json["accessors"][number]
-        if "sparse" in entry or "bufferView" not in entry:
-            raise InputError("sparse accessors are not read; export it without")
-        view = self.json["bufferViews"][entry["bufferView"]]
-        kind, count = np.dtype(_NUMBERS[entry["componentType"]]), entry["count"]
-        if _WIDTHS[entry["type"]] != width:
-            raise InputError(f"accessor {number} is of type {entry['type']}, not of {width} numbers; export it again")
-        row = width * kind.itemsize
-        step = view.get("byteStride", row)
-        start = view.get("byteOffset", 0) + entry.get("byteOffset", 0)
-        end = view.get("byteOffset", 0) + view["byteLength"]
-        buffer = self.buffers[view["buffer"]]
-        sound = all(type(n) is int and n >= 0 for n in (count, step, start, end)) and step >= row
-        if not sound or end > len(buffer) or (count and start + step * (count - 1) + row > end):
-            raise InputError(f"accessor {number} reaches beyond its buffer; export or copy it again")
-        rows = np.ndarray((count, width), kind, buffer, start, (step, kind.itemsize)) if count else np.zeros((0, width))
-        if entry.get("normalized") and kind.kind in "iu":
-            return np.maximum(rows / float(np.iinfo(kind).max), -1)
-        return rows
-
-    def _joined(self, parts: dict[int, list]) -> RawMesh:
-        nothing = np.zeros((0, 3))
-        points, faces, normals, stated, uvs, part_of, named = (
-            [nothing],
-            [nothing.astype(int)],
-            [nothing],
-            [],
-            [],
-            [],
-            [],
-        )
-        start = 0
-        for material in sorted(parts):
-            for positions, triangles, file_normals, uv in parts[material]:
-                count = len(positions)
-                inside = (triangles >= 0) & (triangles < count)
-                points.append(positions)
-                faces.append(np.where(inside, triangles + start, -1))
-                normals.append(np.zeros_like(positions) if file_normals is None else file_normals)
-                stated.append(np.full(count, file_normals is not None))
-                uvs.append(np.full((count, 2), np.nan) if uv is None else uv)
-                part_of.append(np.full(count, len(named)))
-                start += count
-            named.append(self._part(material))
-        return RawMesh(
-            np.concatenate(points),
-            np.concatenate(faces),
-            np.concatenate(normals),
-            np.concatenate([np.zeros(0, bool), *stated]),
-            np.concatenate([np.zeros((0, 2)), *uvs]),
-            np.concatenate([np.zeros(0, np.int64), *part_of]),
-            named,
-            notes=self.notes,
-            # Meshes without normals are flat, by the specification.
-            smoothing=np.full(sum(map(len, faces)), FLAT_FACE),
-        )
-
-    def _part(self, number: int) -> FilePart:
-        if number < 0:
-            return FilePart("default")
-        entry = self.json["materials"][number]
-        return FilePart(str(entry.get("name") or f"material {number}"), self._material(entry))
-
-    def _material(self, entry) -> FileMaterial:
-        pbr, notes = entry.get("pbrMetallicRoughness", {}), []
-        base = [min(max(float(c), 0.0), 1.0) for c in pbr.get("baseColorFactor", [1, 1, 1, 1])[:3]]
-        metallic, roughness = (float(pbr.get(f"{name}Factor", 1)) for name in ("metallic", "roughness"))
-        mixed = self._picture(pbr.get("metallicRoughnessTexture"), notes)
-        if mixed is not None:
-            notes.append("its texture of metalness and roughness is left out, their factors hold everywhere")
-        red, green, blue = base
-        picture = self._picture(pbr.get("baseColorTexture"), notes)
-        material = metallic_roughness((red, green, blue), min(max(metallic, 0), 1), min(max(roughness, 0), 1), picture)
-        material.normal_picture = self._picture(entry.get("normalTexture"), notes)
-        if entry.get("normalTexture", {}).get("scale", 1) != 1:
-            notes.append("the scale of its normal map is left out")
-        material.two_sided = bool(entry.get("doubleSided", False))
-        if entry.get("alphaMode", "OPAQUE") != "OPAQUE":
-            notes.append("transparency is left out; it is opaque")
-        if any(entry.get("emissiveFactor", [0])):
-            notes.append("emission is left out")
-        asked = [name for name in entry.get("extensions", {}) if name != "KHR_materials_unlit"]
-        if asked:
-            notes.append(f"extensions are left out: {', '.join(sorted(asked))}")
-        material.notes += notes
-        return material
-
-    def _picture(self, texture, notes: list[str]) -> FilePicture | None:
-        if texture is None:
-            return None
-        if "KHR_texture_transform" in texture.get("extensions", {}):
-            notes.append("a texture's transform is left out")
-        entry = self.json["textures"][texture["index"]]
-        if "source" not in entry:
-            notes.append("a texture of another kind than PNG or JPEG is left out")
-            return None
-        if "sampler" in entry:
-            sampler = self.json["samplers"][entry["sampler"]]
-            if {sampler.get("wrapS", 10497), sampler.get("wrapT", 10497)} != {10497}:
-                notes.append("textures are repeated beyond their edges, though the file asks for another way")
-        image = self.json["images"][entry["source"]]
-        if "uri" in image:
-            uri = str(image["uri"])
-            return FilePicture(self._bytes(uri) if uri.startswith("data:") else self.folder / uri)
-        view = self.json["bufferViews"][image["bufferView"]]
-        start = view.get("byteOffset", 0)
-        return FilePicture(self.buffers[view["buffer"]][start : start + view["byteLength"]])
+    if not joints:
+        return None
+    share = np.concatenate(shares, axis=1)
+    total = share.sum(axis=1, keepdims=True)
+    return np.concatenate(joints, axis=1), share / np.where(total > 0, total, 1)
 
 
-def _matrix(node) -> Float[np.ndarray, "4 4"]:
-    """A node's own transform: column by column, or translation · rotation · scale."""
-    if "matrix" in node:
-        return np.array(node["matrix"], float).reshape(4, 4).T
-    x, y, z, w = np.array(node.get("rotation", [0, 0, 0, 1]), float)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn * np.array(node.get("scale", [1, 1, 1]), float)
-    matrix[:3, 3] = node.get("translation", [0, 0, 0])
-    return matrix
+def _posed(joints: Float[np.ndarray, "j 4 4"], primitive: _Primitive) -> _Primitive:
+    """A primitive whose vertices follow joints; where its node stands does not count."""
+    assert primitive.bones is not None
+    number, share = primitive.bones
+    if (share[number >= len(joints)] > 0).any():
+        raise InputError("a vertex follows a joint that its skin does not have; export it again")
+    matrices = np.zeros((len(number), 4, 4))
+    for column in range(number.shape[1]):  # one matrix a vertex, not one for each joint of a vertex
+        matrices += share[:, column, None, None] * joints[np.minimum(number[:, column], len(joints) - 1)]
+    points = np.einsum("vij,vj->vi", matrices[:, :3, :3], primitive.points) + matrices[:, :3, 3]
+    mirrors = np.linalg.det(matrices[:, :3, :3]) < 0
+    normals = primitive.normals
+    if normals is not None:
+        normals = np.einsum("vij,vj->vi", _cofactors(matrices[:, :3, :3]), normals)
+        normals = np.where(mirrors[:, None], -normals, normals)
+    # A face is mirrored where its vertices are.
+    inside = primitive.faces[((primitive.faces >= 0) & (primitive.faces < len(points))).all(axis=1)]
+    flipped = mirrors[inside].mean() > 0.5 if len(inside) else False
+    faces = primitive.faces[:, ::-1] if flipped else primitive.faces
+    return primitive._replace(points=points, normals=normals, faces=faces, bones=None)
 
 
-def _moved(
-    matrix: Float[np.ndarray, "4 4"],
-    points: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
-    normals: Float[np.ndarray, "v 3"] | None,
-    uv: Float[np.ndarray, "v 2"] | None,
-):
-    """A primitive in its place. The cofactors turn normals, also where the matrix flattens the mesh."""
-    linear = matrix[:3, :3]
+def _moved(matrix: Float[np.ndarray, "4 4"], primitive: _Primitive) -> _Primitive:
+    """A primitive in its place."""
+    linear, normals = matrix[:3, :3], primitive.normals
     mirrors = np.linalg.det(linear) < 0
     if normals is not None:
-        a, b, c = linear.T
-        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
-        normals = (normals @ cofactors.T) * (-1 if mirrors else 1)
-    return points @ linear.T + matrix[:3, 3], faces[:, ::-1] if mirrors else faces, normals, uv
+        normals = (normals @ _cofactors(linear).T) * (-1 if mirrors else 1)
+    faces = primitive.faces[:, ::-1] if mirrors else primitive.faces
+    points = primitive.points @ linear.T + matrix[:3, 3]
+    return primitive._replace(points=points, faces=faces, normals=normals, bones=None)
+
+
+def _cofactors(linear: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3 3"]:
+    """What turns normals, also where a matrix flattens the mesh."""
+    a, b, c = (linear[..., k] for k in range(3))
+    return np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+
+
+def _joined(content: Content, parts: dict[int, list[_Primitive]]) -> RawMesh:
+    """All primitives as one mesh, a part for each material."""
+    every = [(number, one) for number in sorted(parts) for one in parts[number]]
+    width = max([2, *(one.uv.shape[1] for _, one in every)])
+    coloured = any(one.colours is not None for _, one in every)
+    starts = np.cumsum([0, *(len(one.points) for _, one in every)])
+    place, none = {number: i for i, number in enumerate(sorted(parts))}, np.zeros((0, 3))
+
+    def rows(values: list[np.ndarray], nothing: np.ndarray = none) -> np.ndarray:
+        return np.concatenate([nothing, *values])
+
+    faces = []
+    for start, (_, one) in zip(starts[:-1], every, strict=True):
+        inside = (one.faces >= 0) & (one.faces < len(one.points))
+        faces.append(np.where(inside, one.faces + start, -1))
+    lengths = [len(one.points) for _, one in every]
+    colours = [np.full((len(one.points), 3), np.nan) if one.colours is None else one.colours for _, one in every]
+    uv = [np.pad(one.uv, ((0, 0), (0, width - one.uv.shape[1])), constant_values=np.nan) for _, one in every]
+    return RawMesh(
+        rows([one.points for _, one in every]),
+        rows(faces, none.astype(np.int64)),
+        rows([np.zeros_like(one.points) if one.normals is None else one.normals for _, one in every]),
+        np.repeat([one.normals is not None for _, one in every], lengths).astype(bool),
+        rows(uv, np.zeros((0, width))),
+        np.repeat(np.array([place[number] for number, _ in every], np.int64), lengths),
+        [_part(content, number) for number in sorted(parts)],
+        notes=content.notes,
+        # Meshes without normals are flat, by the specification.
+        smoothing=np.full(sum(map(len, faces)), FLAT_FACE),
+        colours=rows(colours) if coloured else None,
+    )
+
+
+def _part(content: Content, number: int) -> FilePart:
+    if number < 0:
+        return FilePart("default")
+    entry = content.entries("materials")[number]
+    return FilePart(str(entry.get("name") or f"material {number}"), read_material(content, entry))

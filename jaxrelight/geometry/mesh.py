@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
 from jaxrelight.errors import InputError
+from jaxrelight.geometry.file_lights import Surroundings
 from jaxrelight.geometry.file_materials import FileMaterial
 from jaxrelight.geometry.mesh_files import READERS
 from jaxrelight.geometry.raw_mesh import RawMesh
@@ -85,11 +86,7 @@ def load_mesh(path: str | pathlib.Path, crease_angle: float | None = None) -> Me
         InputError: the file is missing, cut short, malformed, or more than half of its faces are unusable; or the
             crease angle is out of range.
     """
-    raw, good = _load(path, crease_angle)
-    part = raw.part[good.source]
-    uv, _, _ = _coordinates(raw.uv[good.source])
-    notes = [note for number in np.unique(part) for note in _coordinates(raw.uv[good.source[part == number]])[2]]
-    return Mesh(good.vertices, good.faces, good.normals, (*good.notes, *notes), uv)
+    return load_file(path, crease_angle).mesh
 
 
 def load_parts(path: str | pathlib.Path, crease_angle: float | None = None) -> list[MeshPart]:
@@ -98,7 +95,49 @@ def load_parts(path: str | pathlib.Path, crease_angle: float | None = None) -> l
     Raises:
         InputError: as `load_mesh` does.
     """
-    raw, good = _load(path, crease_angle)
+    return load_file(path, crease_angle).parts
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MeshFile:
+    """What a mesh file holds, as `load_mesh` and `load_parts` give it, and the lights and cameras in it."""
+
+    raw: RawMesh
+    repaired: Repaired
+
+    @property
+    def mesh(self) -> Mesh:
+        """All of it as one mesh."""
+        return _whole(self.raw, self.repaired)
+
+    @property
+    def parts(self) -> list[MeshPart]:
+        """A mesh for each of its materials."""
+        return _parts(self.raw, self.repaired)
+
+    @property
+    def surroundings(self) -> Surroundings:
+        """Its lights and cameras."""
+        return self.raw.surroundings
+
+
+def load_file(path: str | pathlib.Path, crease_angle: float | None = None) -> MeshFile:
+    """Reads a mesh file.
+
+    Raises:
+        InputError: as `load_mesh` does.
+    """
+    return MeshFile(*_load(path, crease_angle))
+
+
+def _whole(raw: RawMesh, good: Repaired) -> Mesh:
+    part = raw.part[good.source]
+    uv, _, _ = _coordinates(raw.uv[good.source])
+    notes = [note for number in np.unique(part) for note in _coordinates(raw.uv[good.source[part == number]])[2]]
+    return Mesh(good.vertices, good.faces, good.normals, (*good.notes, *notes), uv)
+
+
+def _parts(raw: RawMesh, good: Repaired) -> list[MeshPart]:
     part_of_vertex = raw.part[good.source]
     part_of_face = part_of_vertex[good.faces[:, 0]]
     parts = []
@@ -166,11 +205,11 @@ def _coordinates(uv: Float[np.ndarray, "v u"]) -> tuple[Float[np.ndarray, "v w"]
     Sets after the last one that is there are left out; there may be none.
     """
     sets = uv.reshape(len(uv), -1, 2)
-    missing = np.logical_not(np.abs(sets).max(axis=2) <= _FARTHEST_UV)  # true for NaN
+    missing = ~np.less_equal(np.abs(sets).max(axis=2), _FARTHEST_UV)  # true for NaN
     there = np.flatnonzero(~missing.all(axis=0))
     if not len(there):
         return None, (), []
-    gaps, total = missing.sum(axis=0), f"of {len(uv):,} vertices; (0, 0) is taken"
+    gaps, total = np.count_nonzero(missing, axis=0), f"of {len(uv):,} vertices; (0, 0) is taken"
     notes = [f"texture coordinates are missing at {gaps[number]:,} {total}" for number in there if gaps[number]]
     filled = np.where(missing[:, :, None], 0, sets)[:, : there[-1] + 1]
     return filled.reshape(len(uv), -1), tuple(there.tolist()), notes
@@ -181,7 +220,7 @@ def _colours(raw: RawMesh, source: Int[np.ndarray, " v"]) -> tuple[Float[np.ndar
     if raw.colours is None:
         return None, []
     colours = raw.colours[source]
-    usable = np.isfinite(colours).all(axis=1)
+    usable = np.asarray(np.isfinite(colours).all(axis=1))
     if not usable.any():
         return None, []
     colours = np.where(usable[:, None], colours, 1.0)

@@ -5,7 +5,7 @@ import pathlib
 
 import numpy as np
 
-from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, metallic_roughness
+from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, Microfacets
 from jaxrelight.geometry.file_references import find_file
 
 # Options of images by how many words follow them at most; those that are passed over change nothing that is looked up.
@@ -101,9 +101,8 @@ def _finished(mine: _Statements) -> FileMaterial:
     material = mine.material
     if mine.roughness is not None or mine.metallic is not None:
         roughness = 0.5 if mine.roughness is None else mine.roughness
-        base = metallic_roughness(material.diffuse, mine.metallic or 0.0, roughness, material.diffuse_picture)
-        for name in ("diffuse", "specular", "exponent", "specular_picture", "tints_specular"):
-            setattr(material, name, getattr(base, name))
+        microfacets = Microfacets(material.diffuse, mine.metallic or 0.0, roughness, material.diffuse_picture)
+        material = microfacets.applied_to(material)
     elif max(material.specular) > 0 and mine.illum in _NO_HIGHLIGHTS:
         material.specular, material.specular_picture = (0.0, 0.0, 0.0), None
     elif max(material.specular) > 0 and material.exponent <= 0:

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxrelight.geometry.file_lights import Surroundings
 from jaxrelight.geometry.file_materials import FileMaterial
 
 
@@ -34,6 +35,7 @@ class RawMesh:
         material_notes: what it had to guess of materials.
         colours: of vertices, linear, 0 … 1; NaN at vertices that have none, and None where the file has none. They
             multiply the diffuse colour of the part's `FileMaterial`, or stand for it where the part has no material.
+        surroundings: the lights and cameras of the file.
     """
 
     vertices: Float[np.ndarray, "v 3"]
@@ -48,3 +50,4 @@ class RawMesh:
     material_notes: list[str] = dataclasses.field(default_factory=list)
     colours: Float[np.ndarray, "v 3"] | None = None
     smoothing: Int[np.ndarray, " f"] | None = None
+    surroundings: Surroundings = dataclasses.field(default_factory=Surroundings)

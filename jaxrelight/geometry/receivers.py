@@ -32,8 +32,8 @@ class Receivers:
         origins: of rays, lifted off the surface.
         tangents: what tangent frames follow, see `tangent_frame`.
         omega_o: unit world direction to the eye for pixels, None for vertices.
-        uv: texture coordinates for pixels, None for vertices.
-        footprint: area in texture coordinates that each pixel covers, None for vertices.
+        uv: surface coordinates for pixels, None for vertices.
+        footprint: area in the first set of texture coordinates that each pixel covers, None for vertices.
         material_of_group: number of each group's material.
         filled: receivers of each group that are not copies.
         slot_of: place in the flattened groups of each vertex, back of a vertex, or covered pixel.
@@ -45,7 +45,7 @@ class Receivers:
     origins: Float[np.ndarray, "g m 3"]
     tangents: Float[np.ndarray, "g m 3"]
     omega_o: Float[np.ndarray, "g m 3"] | None
-    uv: Float[np.ndarray, "g m 2"] | None
+    uv: Float[np.ndarray, "g m u"] | None
     footprint: Float[np.ndarray, "g m"] | None
     material_of_group: Int[np.ndarray, " g"]
     filled: Int[np.ndarray, " g"]

@@ -23,7 +23,8 @@ class Surfaces:
         vertices: positions in scene space, float64.
         normals: unit shading normals.
         faces: vertex numbers, counter-clockwise seen from the front.
-        uv: texture coordinates; zeros for meshes that have none.
+        uv: surface coordinates as `jaxrelight.brdf.texture` describes them: zeros for the sets of texture coordinates
+            that a mesh does not have, and white where it has no colours but another mesh has.
         mesh_of_vertex: which mesh each vertex belongs to.
         two_sided: which meshes have a back that is a surface, too.
         uv_tangents: which meshes have tangent frames along u.
@@ -35,7 +36,7 @@ class Surfaces:
     vertices: Float[np.ndarray, "v 3"]
     normals: Float[np.ndarray, "v 3"]
     faces: Int[np.ndarray, "f 3"]
-    uv: Float[np.ndarray, "v 2"]
+    uv: Float[np.ndarray, "v u"]
     mesh_of_vertex: Int[np.ndarray, " v"]
     two_sided: Bool[np.ndarray, " m"]
     uv_tangents: Bool[np.ndarray, " m"]
@@ -57,11 +58,15 @@ class Surfaces:
 
     @functools.cached_property
     def u_axes(self) -> Float[np.ndarray, "v 4"]:
+        """`u_axes_along` for the first set of texture coordinates."""
+        return self.u_axes_along(self.uv[:, :2])
+
+    def u_axes_along(self, coordinates: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 4"]:
         """Unit directions of growing u along the surface, and ±1: v grows towards that times normal × u.
 
-        Means over the adjacent faces, weighted by area; zeros where texture coordinates do not tell.
+        Means over the adjacent faces, weighted by area; zeros where (u, v) do not tell.
         """
-        corners, uv = self.vertices[self.faces], self.uv[self.faces]
+        corners, uv = self.vertices[self.faces], coordinates[self.faces]
         (first, second), (du, dv) = ((a[:, 1] - a[:, 0], a[:, 2] - a[:, 0]) for a in (corners, uv))
         turn = np.sign(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0])
         along = turn[:, None] * (first * dv[:, 1:] - second * du[:, 1:])
@@ -101,11 +106,13 @@ class Surfaces:
         return lift
 
     def uv_densities(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
-        """Area in texture coordinates over area in scene space of some faces; 0 for those without area."""
-        corners, uv = self.vertices[self.faces[faces]], self.uv[self.faces[faces]]
-        (du, dv) = np.moveaxis(uv[:, 1:] - uv[:, :1], -1, 0)
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        return np.abs(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0]) / np.where(area > 0, area, np.inf)
+        """Area in texture coordinates over area in scene space of some faces; 0 for those without area.
+
+        It is that of the first set, where there are no others; a face without area in it counts as if it had the area
+        that it has in scene space, so that areas in further sets can be told from it.
+        """
+        density = _densities(self.vertices, self.faces[faces], self.uv[:, :2])
+        return density if self.uv.shape[1] == 2 else np.where(density > 0, density, 1.0)
 
     def face_normals(self, faces: Int[np.ndarray, " p"]) -> Float[np.ndarray, "p 3"]:
         """Unit geometric normals of some faces; the zero vector for one that rounding left without area."""
@@ -113,6 +120,33 @@ class Surfaces:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         return normal / np.where(length > 0, length, 1)
+
+
+def _densities(
+    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], uv: Float[np.ndarray, "v 2"]
+) -> Float[np.ndarray, " f"]:
+    """Area of faces in texture coordinates over that in space; 0 for those without area."""
+    corners, (du, dv) = vertices[faces], np.moveaxis(uv[faces][:, 1:] - uv[faces][:, :1], -1, 0)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return np.abs(du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0]) / np.where(area > 0, area, np.inf)
+
+
+def _surface_coordinates(mesh: Mesh, vertices: Float[np.ndarray, "v 3"], sets: int, coloured: bool):
+    """The columns that `jaxrelight.brdf.texture` describes, of one mesh whose vertices are in scene space."""
+    count = len(vertices)
+    uv = np.zeros((count, 2 * sets))
+    if mesh.uv is not None:
+        uv[:, : mesh.uv.shape[1]] = mesh.uv
+    columns = [uv[:, :2]]
+    for number in range(1, sets):
+        own = uv[:, 2 * number : 2 * number + 2]
+        first, other = (_densities(vertices, mesh.faces, each) for each in (uv[:, :2], own))
+        ratio = np.repeat(other / np.where(first > 0, first, 1.0), 3)
+        faces_at = np.maximum(np.bincount(mesh.faces.ravel(), minlength=count), 1)
+        columns += [own, (np.bincount(mesh.faces.ravel(), ratio, count) / faces_at)[:, None]]
+    if coloured:
+        columns.append(np.ones((count, 3)) if mesh.colours is None else mesh.colours)
+    return np.concatenate(columns, axis=1)
 
 
 def join(meshes: Sequence[Mesh]) -> Surfaces:
@@ -129,11 +163,18 @@ def join(meshes: Sequence[Mesh]) -> Surfaces:
     if not radius > 0:
         raise InputError("the scene has no size: all vertices coincide")
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    vertices = (vertices - centre) / radius
+    sets = max([1, *(mesh.uv.shape[1] // 2 for mesh in meshes if mesh.uv is not None)])
+    coloured = any(mesh.colours is not None for mesh in meshes)
+    coordinates = [
+        _surface_coordinates(mesh, vertices[start : start + len(mesh.vertices)], sets, coloured)
+        for mesh, start in zip(meshes, starts, strict=False)
+    ]
     return Surfaces(
-        vertices=(vertices - centre) / radius,
+        vertices=vertices,
         normals=np.concatenate([mesh.normals for mesh in meshes]),
         faces=np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]),
-        uv=np.concatenate([np.zeros((len(mesh.vertices), 2)) if mesh.uv is None else mesh.uv for mesh in meshes]),
+        uv=np.concatenate(coordinates),
         mesh_of_vertex=np.repeat(np.arange(len(meshes)), np.diff(starts)),
         two_sided=np.array([mesh.two_sided for mesh in meshes]),
         uv_tangents=np.array([mesh.uv_tangents for mesh in meshes]),

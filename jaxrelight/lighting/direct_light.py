@@ -62,7 +62,7 @@ def shade_lights(
 
 def at_texel(
     brdf: Brdf | PackedLobes,
-    uv: Float[Array, "2"],
+    uv: Float[Array, " u"],
     footprint: Float[Array, ""],
     texels: Texels,
     reflected: Callable[[Brdf], Float[Array, " c"]],

@@ -123,5 +123,5 @@ def _some(seen: GBuffer, pixels: Int[np.ndarray, " s"]) -> GBuffer:
 
 
 @jax.jit
-def _factors(weight: Weight, uv: Float[Array, "m 2"], footprint: Float[Array, " m"]) -> Float[Array, "m c"]:
+def _factors(weight: Weight, uv: Float[Array, "m u"], footprint: Float[Array, " m"]) -> Float[Array, "m c"]:
     return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, uv, footprint)

@@ -17,14 +17,14 @@ class SurfacePixels(eqx.Module):
 
     Attributes:
         pixel: place in the flattened image; past its end for padding.
-        uv: texture coordinates.
-        footprint: the area of them that the pixel covers.
+        uv: surface coordinates.
+        footprint: the area in the first set of texture coordinates that the pixel covers.
         omega_o: local direction to the eye.
         frame: rows tangent, binormal, normal.
     """
 
     pixel: Int[Array, " p"]
-    uv: Float[Array, "p 2"]
+    uv: Float[Array, "p u"]
     footprint: Float[Array, " p"]
     omega_o: Float[Array, "p 3"]
     frame: Float[Array, "p 3 3"]

@@ -250,7 +250,7 @@ def trace_view(
             continue
         if material.is_spatial:
             # Neighbours in the maps follow one another, so that large maps are read a tenth faster.
-            shown = shown[np.argsort(morton(gbuffer.uv[shown] % 1), kind="stable")]
+            shown = shown[np.argsort(morton(gbuffer.uv[shown, :2] % 1), kind="stable")]
         frames = frames_of_points(gbuffer.normals[shown], gbuffer.tangents[shown])
         own, omega_o = np.arange(len(shown)), to_local(frames, gbuffer.omega_o[shown])
         pixels = SurfacePixels(

@@ -17,7 +17,7 @@ from jaxrelight.brdf.parametrisation import POLAR
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import FactorResidual, SpatialFactors, factor_spatial
-from jaxrelight.brdf.texture import Texture
+from jaxrelight.brdf.texture import Texture, VertexColours
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.surfaces import Surfaces
@@ -99,12 +99,19 @@ def write_environment(folder: pathlib.Path, environment: Environment | None) -> 
     }
 
 
-def write_texture(folder: pathlib.Path, texture: Texture) -> str | list[float]:
-    """The name of a texture's layer; the values of a constant one."""
-    if texture.is_constant:
-        return np.asarray(texture.pixels[0, 0]).tolist()
-    pixels = np.asarray(texture.pixels)
-    return write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
+def write_factor(folder: pathlib.Path, factor: Texture | VertexColours) -> str | list[float] | dict:
+    """The name of a texture's layer, or the values of a constant one; with how it lies where that is not plain."""
+    if isinstance(factor, VertexColours):
+        return {"colours": "vertices"}
+    if factor.is_constant:
+        image: Any = np.asarray(factor.pixels[0, 0]).tolist()
+    else:
+        pixels = np.asarray(factor.pixels)
+        image = write_once(folder / f"texture-{store.key_of(pixels)}", {"pixels": pixels}).folder.name
+    if factor.has_plain_layout:
+        return image
+    placement = None if factor.placement is None else np.asarray(factor.placement).tolist()
+    return {"image": image, "uv_set": factor.uv_set, "wrap": list(factor.wrap), "placement": placement}
 
 
 def write_table(folder: pathlib.Path, values: np.ndarray) -> str:

@@ -21,7 +21,7 @@ from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.spatial_factors import SpatialFactors
 from jaxrelight.brdf.sub_lobes import narrower_lobes
-from jaxrelight.brdf.texture import Texture, constant
+from jaxrelight.brdf.texture import Texture, VertexColours, constant
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.gather.gather_cloud import GatherCloud, cloud_receivers
@@ -213,7 +213,7 @@ def _block(
     if opened:
         # What a row leaves out is a sum of two: no longer than both.
         dropped = np.square(sum(np.sqrt(one.dropped) for one in opened))
-    weight = tuple(read_texture(folder, entry) for entry in record["weight"])
+    weight = tuple(read_factor(folder, entry) for entry in record["weight"])
     emission = record.get("emission")
     block = Block(
         material=record["name"],
@@ -252,7 +252,7 @@ def _filtered_lobes(
     return FilteredLobes(
         material=record["name"],
         brdf=jax.tree.map(as_array, brdf.packed() if isinstance(brdf, SpatialLobes) else brdf),
-        weight=tuple(read_texture(folder, entry) for entry in record["weight"]),
+        weight=tuple(read_factor(folder, entry) for entry in record["weight"]),
         visibility=visibility,
         narrower=narrower_lobes(brdf, method.reflection_tolerance),
         first_group=int(groups[0]),
@@ -363,8 +363,20 @@ def read_spatial_factors(layer: store.Layer) -> SpatialFactors:
     return SpatialFactors(light, view, _minified(layer.read("weights", 0)))
 
 
-def read_texture(folder: pathlib.Path, entry: str | list[float]) -> Texture:
+def read_factor(folder: pathlib.Path, entry: str | list[float] | dict) -> Texture | VertexColours:
+    """What `write_factor` wrote."""
+    if isinstance(entry, dict):
+        return VertexColours() if "colours" in entry else read_texture(folder, entry)
+    return read_texture(folder, entry)
+
+
+def read_texture(folder: pathlib.Path, entry: str | list[float] | dict) -> Texture:
     """A texture from its layer, or a constant one from its values."""
+    if isinstance(entry, dict):
+        placement = None if entry["placement"] is None else as_array(entry["placement"], np.float32)
+        image = read_texture(folder, entry["image"])
+        across, upwards = entry["wrap"]
+        return dataclasses.replace(image, placement=placement, uv_set=entry["uv_set"], wrap=(across, upwards))
     if isinstance(entry, str):
         return _minified(store.open_layer(folder / entry).read("pixels", 0))
     return constant(entry)

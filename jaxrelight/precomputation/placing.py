@@ -30,9 +30,9 @@ from jaxrelight.precomputation.layer_files import (
     make_folder,
     plain,
     write_environment,
+    write_factor,
     write_geometry,
     write_table,
-    write_texture,
 )
 from jaxrelight.precomputation.load import receivers_of
 from jaxrelight.scene.scene import Scene
@@ -110,8 +110,8 @@ class PlacedScene:
         camera = plain(dataclasses.astuple(scene.camera)) if self.method.receivers == "pixels" else None
         bent = None
         if any(bumps):
-            pixels = (np.asarray(one.pixels) if one else None for one in bumps)
-            bent = [self._whole_key, seen.footprint if seen else None, *pixels]
+            maps = (item for one in bumps for item in (one.content() if one else [None]))
+            bent = [self._whole_key, seen.footprint if seen else None, *maps]
         return store.key_of(self.key, self.material_of_mesh, camera, *dials, bent)
 
     @property
@@ -135,7 +135,7 @@ class PlacedScene:
                 material = split_diffuse(material, lobe_sums=filtered)
             if grey and not filtered:
                 material = split_tint(material, diffuse=self.method.receivers == "pixels")
-            bump = write_texture(self.folder, material.normal_map) if material.normal_map else None
+            bump = write_factor(self.folder, material.normal_map) if material.normal_map else None
             parts, notes = [], []
             asked = self.scene.factors.get(name, Factoring())
             if filtered and self.method.receivers == "pixels":
@@ -164,7 +164,7 @@ class PlacedScene:
                     notes.append(f"{name}: {shapes}{reflection.terms} factors leave {of_what}; --terms is the dial")
                 if reflection is None and (self.method.bounces or not of_filtered):
                     reflection = fixed_view(brdf, receivers, groups)
-                weight = [write_texture(self.folder, texture) for texture in component.weight]
+                weight = [write_factor(self.folder, factor) for factor in component.weight]
                 record = {"name": name, "number": number, "brdf": described, "factors": factors, "weight": weight}
                 record |= {"normal_map": bump, "reflection": way if of_filtered else "factors"}
                 if material.emission is not None and component is material.components[0]:

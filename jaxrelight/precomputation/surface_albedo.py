@@ -38,7 +38,7 @@ class SurfaceAlbedo:
         """The key of the albedos, and of where the textures lie that tell them."""
         every = [pair for one in self.means for pair in one]
         where = [] if all(w.is_constant for _, ws in every for w in ws) else [self._surfaces.uv]
-        return store.key_of(*([mean, *(np.asarray(w.pixels) for w in ws)] for mean, ws in every), *where)
+        return store.key_of(*([mean, *(item for w in ws for item in w.content())] for mean, ws in every), *where)
 
     def __call__(
         self,
@@ -55,10 +55,8 @@ class SurfaceAlbedo:
         for number in np.unique(mesh):
             of_mesh = np.flatnonzero(mesh == number)
             for albedo, weight in self.means[number]:
-                if all(texture.is_constant for texture in weight):
-                    albedos[of_mesh] += albedo * np.prod(
-                        [np.asarray(texture.pixels[0, 0]) for texture in weight], axis=0
-                    )
+                if all(factor.is_constant for factor in weight):
+                    albedos[of_mesh] += albedo * np.prod([factor.mean for factor in weight], axis=0)
                     continue
                 uv = np.einsum("pk,pkx->px", barycentric[of_mesh], surfaces.uv[corners[of_mesh]])
                 covers = (

@@ -1,17 +1,21 @@
 """Materials whose colours are images: from scene files, and from what mesh files say."""
 
+import dataclasses
+import io
 import pathlib
 import tempfile
+from collections.abc import Collection
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxrelight.brdf import lobes
 from jaxrelight.brdf.contract import Brdf
-from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong
-from jaxrelight.brdf.texture import Texture, constant, look_up
+from jaxrelight.brdf.material import Component, Material, as_material, white_lambert, white_phong
+from jaxrelight.brdf.normal_maps import is_normal_map
+from jaxrelight.brdf.texture import Texture, VertexColours, constant, look_up
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.file_materials import FileMaterial, PictureSource
+from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, PictureSource
 from jaxrelight.numerics.arrays import as_array
 
 GREY = lobes.lambert(0.5)
@@ -23,21 +27,53 @@ def read_texture(picture: PictureSource, *, data: bool = False) -> Texture:
     Raises:
         InputError: if it cannot be read, or has pixels that are negative or not finite.
     """
+    return Texture(as_array(_read_pixels(picture, data=data)[..., :3], jnp.float32)).minified()
+
+
+def _read_pixels(picture: PictureSource, *, data: bool = False) -> np.ndarray:
+    """Pixels as `read_texture` has them, with alpha where there is any."""
     from jaxrelight.images import read_image
     from jaxrelight.images.tone import srgb_encode
 
     if isinstance(picture, bytes):
-        suffix = ".png" if picture[:4] == b"\x89PNG" else ".jpg"
         with tempfile.TemporaryDirectory() as folder:
-            path = pathlib.Path(folder) / f"embedded{suffix}"
-            path.write_bytes(picture)
-            return read_texture(path, data=data)
-    pixels = read_image(picture)[..., :3]
+            path = pathlib.Path(folder) / f"embedded{_suffix_of(picture)}"
+            path.write_bytes(_without_webp(picture))
+            try:
+                return _read_pixels(path, data=data)
+            except InputError as error:
+                raise InputError(f"{error}".replace(f"{path}", "an embedded image")) from None
+    if picture.suffix.lower() == ".webp" and picture.is_file():
+        return _read_pixels(picture.read_bytes(), data=data)
+    pixels = read_image(picture)
     if not (np.isfinite(pixels).all() and (pixels >= 0).all()):
         raise InputError(f"{picture}: a texture needs pixels that are finite and not negative; repair the image")
     if data and picture.suffix.lower() in (".png", ".jpg", ".jpeg"):
-        pixels = srgb_encode(pixels)
-    return Texture(as_array(pixels, jnp.float32)).minified()
+        pixels = np.concatenate([srgb_encode(pixels[..., :3]), pixels[..., 3:]], axis=-1)
+    return pixels
+
+
+def _is_webp(content: bytes) -> bool:
+    return content[:4] == b"RIFF" and content[8:12] == b"WEBP"
+
+
+def _suffix_of(content: bytes) -> str:
+    """The ending that a file of an image has."""
+    return ".png" if content[:4] == b"\x89PNG" or _is_webp(content) else ".jpg"
+
+
+def _without_webp(content: bytes) -> bytes:
+    """An image as PNG where it is WebP, else as it is."""
+    if not _is_webp(content):
+        return content
+    from PIL import Image
+
+    png = io.BytesIO()
+    try:
+        Image.open(io.BytesIO(content)).convert("RGBA").save(png, "PNG")
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as fault:
+        raise InputError(f"an image cannot be decoded as WebP ({fault}); export it as PNG or JPEG") from None
+    return png.getvalue()
 
 
 def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]:
@@ -58,45 +94,116 @@ def made_light(surface: Brdf | Material) -> float:
     return float(total.max())
 
 
-def from_file(described: FileMaterial | None) -> tuple[Brdf | Material, list[str]]:
+def from_file(
+    described: FileMaterial | None, uv_sets: Collection[int] = (0,), *, coloured: bool = False
+) -> tuple[Brdf | Material, list[str]]:
     """What a mesh file describes, as a material, and what was approximated or left out. Grey where it says nothing.
 
-    Colours that add up to more than 1 are scaled down: such a surface would make light. An image that cannot be read
-    leaves its plain colour.
+    Colours that add up to more than 1 are scaled down: such a surface would make light. An image that cannot be read,
+    or that follows texture coordinates that the mesh does not have, leaves its plain colour.
+
+    Args:
+        described: what the file says.
+        uv_sets: numbers of the sets of texture coordinates that the mesh has.
+        coloured: whether its vertices have colours.
     """
     if described is None:
         return GREY, []
-    notes = list(described.notes)
-    pictures: list[Texture | None] = []
-    for picture, data in (
-        (described.diffuse_picture, False),
-        (described.specular_picture, False),
-        (described.normal_picture, True),
-    ):
+    described, notes = _with_mean_microfacets(described)
+    notes = [*described.notes, *notes]
+
+    def read(picture: FilePicture | None, what: str, *, data: bool = False) -> Texture | None:
+        if picture is None:
+            return None
+        if picture.uv_set not in uv_sets:
+            of_set = f" of set {picture.uv_set}" if uv_sets else ""
+            notes.append(f"the mesh has no texture coordinates{of_set}, which its {what} needs; taken without it")
+            return None
         try:
-            pictures.append(None if picture is None else read_texture(picture.source, data=data))
+            return place_texture(read_texture(picture.source, data=data), picture)
         except InputError as error:
             notes.append(f"{error} (taken without it)")
-            pictures.append(None)
-    diffuse, specular, bumps = pictures
+            return None
+
+    diffuse, specular = read(described.diffuse_picture, "texture"), read(described.specular_picture, "specular texture")
+    bumps = read(described.normal_picture, "normal map", data=True)
+    if bumps is None:
+        bumps = read(described.bump_picture, "bump map", data=True)
+        if bumps is not None and not is_normal_map(np.asarray(bumps.pixels)):
+            notes.append("its bump map of heights is left out; give a normal_map")
+            bumps = None
+    bumps = _scaled_normals(bumps, described.normal_scale)
     total = np.add(described.diffuse, described.specular)
     scale = 1 / max(1.0, float(total.max()))
     if scale < 0.999:
         notes.append(f"diffuse and specular add up to {total.max():.2g}, scaled down to 1")
     colour, shine = scale * np.array(described.diffuse), scale * np.array(described.specular)
-    glossy = bool(np.any(shine > 0))
-    if diffuse is None and specular is None:
+    emission = _emission(described, notes)
+    if described.unlit:
+        # What is emitted is the same all over a part; a texture that is lit shows more than its mean would.
+        if diffuse is None and not coloured:
+            notes.append("is unlit (KHR_materials_unlit): its colour is taken as radiance that it emits")
+            return Material((Component(lobes.lambert(0.0)),), emission=colour.astype(np.float32)), notes
+        notes.append("is unlit (KHR_materials_unlit), which its texture cannot be: taken as a diffuse surface")
+    glossy, tinted = bool(np.any(shine > 0)), (VertexColours(),) if coloured else ()
+    if diffuse is None and specular is None and not coloured:
         surface: Brdf | Material = lobes.phong(colour, shine, described.exponent) if glossy else lobes.lambert(colour)
     else:
-        albedo = _tinted(diffuse, colour)
-        surface = textured_lambert(albedo)
+        parts = [Component(white_lambert(jnp.float32), (_tinted(diffuse, colour), *tinted))]
         if glossy:
-            surface = textured_phong(albedo, _tinted(specular, shine), described.exponent)
-    if bumps is not None:
-        surface = Material(as_material(surface).components, bumps)
+            weight = _tinted(specular, shine), *(tinted if described.tints_specular else ())
+            parts.append(Component(white_phong(described.exponent, jnp.float32), weight))
+        surface = Material(tuple(parts))
+    if bumps is not None or emission is not None:
+        surface = Material(as_material(surface).components, bumps, emission)
     return surface, notes
+
+
+def place_texture(texture: Texture, picture: FilePicture) -> Texture:
+    """A texture as a file puts it on a surface."""
+    placement = None if picture.placement is None else as_array(picture.placement, jnp.float32)
+    return dataclasses.replace(texture, placement=placement, uv_set=picture.uv_set, wrap=picture.wrap)
+
+
+def _with_mean_microfacets(described: FileMaterial) -> tuple[FileMaterial, list[str]]:
+    """A material whose texture of roughness, if it has one, counts by its means."""
+    asked = described.microfacets
+    if asked is None or asked.picture is None:
+        return described, []
+    try:
+        pixels = _read_pixels(asked.picture.source, data=True)
+    except InputError as error:
+        return described, [f"{error} (its roughness is the same everywhere)"]
+    means = np.ones(4)
+    means[: pixels.shape[-1]] = pixels.mean(axis=(0, 1))
+    mean, note = asked.with_means(means.tolist())
+    return mean.applied_to(described), [note]
+
+
+def _emission(described: FileMaterial, notes: list[str]) -> np.ndarray | None:
+    """Radiance that is the same all over the surface; None for none."""
+    radiance = np.asarray(described.emission, np.float32)
+    if described.emission_picture is not None and radiance.any():
+        try:
+            mean = read_texture(described.emission_picture.source).mean
+        except InputError as error:
+            notes.append(f"{error} (emission is taken without it)")
+        else:
+            radiance = (radiance * mean).astype(np.float32)
+            notes.append("its emission varies by a texture; the mean is taken everywhere")
+    return radiance if radiance.any() else None
+
+
+def _scaled_normals(bumps: Texture | None, scale: float) -> Texture | None:
+    """A normal map whose x and y are multiplied before normals are of unit length."""
+    if bumps is None or scale == 1:
+        return bumps
+    factors = as_array([scale, scale, 1.0], jnp.float32)
+    return dataclasses.replace(bumps, pixels=(bumps.pixels - 0.5) * factors + 0.5, coarser=None).minified()
 
 
 def _tinted(image: Texture | None, colour: np.ndarray) -> Texture:
     """An image times a colour; the colour alone without one."""
-    return constant(colour) if image is None else Texture(image.pixels * as_array(colour, jnp.float32)).minified()
+    if image is None:
+        return constant(colour, jnp.float32)
+    return dataclasses.replace(image, pixels=image.pixels * as_array(colour, jnp.float32), coarser=None).minified()

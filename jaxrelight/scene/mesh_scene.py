@@ -47,7 +47,7 @@ def scene_of_mesh(path: str | pathlib.Path) -> Scene:
     path = pathlib.Path(path)
     read = meshes.load_parts(path)
     frame = meshes.joint_bounds([part.mesh for part in read])
-    scaled = [meshes.MeshPart(meshes.normalized(p.mesh, 1.0, frame), p.name, p.material) for p in read]
+    scaled = [dataclasses.replace(part, mesh=meshes.normalized(part.mesh, 1.0, frame)) for part in read]
     plain = {part.name: "plaster" for part in scaled if part.material is None}
     parts, materials, notes = file_parts(path.name, scaled, plain)
     materials |= {"floor": lobes.lambert([0.46, 0.45, 0.43]), "plaster": lobes.lambert([0.70, 0.62, 0.52])}

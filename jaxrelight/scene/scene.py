@@ -8,19 +8,10 @@ from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import REFLECTIONS, check_choice
-
-
-@dataclasses.dataclass(frozen=True)
-class Part:
-    """One mesh and the name of its material."""
-
-    mesh: Mesh
-    material: str
-    name: str = "mesh"
+from jaxrelight.scene.parts import Part, missing_sets, with_plain_materials
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,6 +84,17 @@ class Scene:
         """Whether surfaces emit light."""
         return any(as_material(self.materials[part.material]).emission is not None for part in self.parts)
 
+    def with_plain_materials(self) -> "Scene":
+        """The scene where parts without the texture coordinates that their material needs have its mean colour.
+
+        The assumptions tell of it. BRDFs that differ between texels stay, which `check_materials` refuses. Scenes that
+        come from files are such ones.
+        """
+        parts, materials, notes = with_plain_materials(self.parts, self.materials)
+        if not notes:
+            return self
+        return dataclasses.replace(self, parts=parts, materials=materials, assumptions=(*self.assumptions, *notes))
+
     def check_materials(self) -> None:
         """Refuses parts whose material is not given, or cannot be put on them, and factors that it cannot have.
 
@@ -110,8 +112,14 @@ class Scene:
         for part in self.parts:
             if part.material not in self.materials:
                 raise InputError(f"{self.name}: '{part.name}' is of a material '{part.material}' that is not given")
-            if part.mesh.uv is None and as_material(self.materials[part.material]).needs_uv:
+            material = as_material(self.materials[part.material])
+            if missing_sets(material, part.mesh):
                 raise InputError(
                     f"{self.name}: '{part.name}' has no texture coordinates, which its material '{part.material}' "
                     "needs; export it with them, or give it another material"
+                )
+            if material.needs_colours and part.mesh.colours is None:
+                raise InputError(
+                    f"{self.name}: the vertices of '{part.name}' have no colours, which its material '{part.material}' "
+                    "needs; give the mesh some, or give it another material"
                 )

@@ -78,7 +78,8 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]; add one")
     lights = Lights(environment, lights)
-    return Scene(parts, materials, camera, lights, path.stem, factors, tuple(assumptions), reflections)
+    scene = Scene(parts, materials, camera, lights, path.stem, factors, tuple(assumptions), reflections)
+    return scene.with_plain_materials()
 
 
 def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:
@@ -177,7 +178,7 @@ def file_parts(
         material = overridden.get(part.name)
         if material is None:
             material = f"{file}:{part.name}"
-            materials[material], lines = from_file(part.material)
+            materials[material], lines = from_file(part.material, part.uv_sets, coloured=part.mesh.colours is not None)
             notes += [f"{material}: {line}" for line in lines]
             grey += [] if part.material else [part.name]
         parts.append(Part(part.mesh, material, f"{file}:{part.name}" if len(read) > 1 else file))

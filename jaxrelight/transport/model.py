@@ -79,7 +79,8 @@ class SceneGeometry(ByKey):
     @functools.cached_property
     def key(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The key of the geometry and its materials' names."""
-        surfaces, maps = self.surfaces, (np.asarray(one.pixels) if one else None for one in self.normal_maps)
+        surfaces = self.surfaces
+        maps = (item for one in self.normal_maps for item in (one.content() if one else [None]))
         arrays = surfaces.normals, surfaces.uv, surfaces.mesh_of_vertex
         of_meshes = surfaces.two_sided, surfaces.uv_tangents, surfaces.pure_normals
         placement = [*surfaces.centre.tolist(), surfaces.radius]
@@ -314,7 +315,7 @@ def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.n
 
 
 @jax.jit
-def _at(brdf: PackedLobes, uv: Float[Array, "m 2"], footprint: Float[Array, " m"]) -> Brdf:
+def _at(brdf: PackedLobes, uv: Float[Array, "m u"], footprint: Float[Array, " m"]) -> Brdf:
     return brdf.at(uv, footprint)
 
 

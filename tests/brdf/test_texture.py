@@ -1,5 +1,7 @@
 """Textures: where their pixels lie, that they repeat, and their gradients."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,8 @@ import pytest
 from jax.test_util import check_grads
 from scipy import ndimage
 
-from jaxrelight.brdf.texture import Texture, constant, look_up
+from jaxrelight.brdf.texture import Texture, VertexColours, constant, look_up
+from jaxrelight.errors import InputError
 from jaxrelight.numerics.arrays import as_array
 from tests.compilations import compilations
 
@@ -143,3 +146,58 @@ def test_images_of_any_size_get_coarser_levels_without_a_program():
         for size in (31, 32, 37):
             Texture(as_array(np.ones((size, size + 3, 3), np.float32))).minified()
     assert programs == []
+
+
+@pytest.mark.parametrize(("wrap", "mode"), [("clamp", "nearest"), ("mirror", "reflect")])
+def test_beyond_the_edges_an_image_is_clamped_or_mirrored(wrap, mode):
+    uv = np.random.default_rng(4).uniform(-3, 4, (500, 2)).astype(np.float32)
+    place = [(1 - uv[:, 1]) * 5 - 0.5, uv[:, 0] * 7 - 0.5]
+    wanted = [ndimage.map_coordinates(PIXELS[..., c], place, order=1, mode=mode) for c in range(3)]
+    got = _look_up(Texture(jnp.asarray(PIXELS), wrap=(wrap, wrap)), uv, np.zeros(500, np.float32))
+    np.testing.assert_allclose(got, np.stack(wanted, axis=-1), atol=2e-5)
+
+
+def test_each_axis_is_wrapped_its_own_way():
+    texture = Texture(jnp.asarray(PIXELS), wrap=("mirror", "clamp"))
+    clamped = Texture(jnp.asarray(PIXELS), wrap=("clamp", "clamp")).look_up(jnp.array([0.25, 3]))
+    np.testing.assert_allclose(texture.look_up(jnp.array([1.75, 1.75])), clamped, atol=1e-6)
+
+
+def test_a_placement_moves_the_image_and_its_footprint():
+    """Half the size and a quarter turn: the same as coordinates that are placed already."""
+    placement = jnp.asarray([[0.0, -2, 0.3], [2, 0, 0.1]], jnp.float32)
+    plain = Texture(jnp.asarray(PIXELS)).minified()
+    uv = np.random.default_rng(7).uniform(-1, 1, (50, 2)).astype(np.float32)
+    placed = np.stack([-2 * uv[:, 1] + 0.3, 2 * uv[:, 0] + 0.1], axis=1)
+    covered = np.full(50, 0.02, np.float32)
+    got = _look_up(dataclasses.replace(plain, placement=placement), uv, covered)
+    np.testing.assert_allclose(got, _look_up(plain, placed, 4 * covered), atol=2e-5)
+
+
+def test_a_further_set_has_coordinates_and_a_footprint_of_its_own():
+    plain = Texture(jnp.asarray(PIXELS)).minified()
+    rows = np.random.default_rng(8).random((50, 8)).astype(np.float32)
+    covered = np.full(50, 0.05, np.float32)
+    for uv_set, columns in ((0, [0, 1]), (1, [2, 3]), (2, [5, 6])):
+        own = covered * (rows[:, 3 * uv_set + 1] if uv_set else 1)
+        got = _look_up(dataclasses.replace(plain, uv_set=uv_set), rows, covered)
+        np.testing.assert_allclose(got, _look_up(plain, rows[:, columns], own), atol=2e-5)
+    with pytest.raises(InputError, match="set 1 of texture coordinates"):
+        dataclasses.replace(plain, uv_set=1).look_up(jnp.asarray(rows[0, :2]))
+
+
+def test_vertex_colours_are_the_last_three_coordinates():
+    uv = np.array([0.1, 0.2, 0.5, 0.25, 1], np.float32)
+    np.testing.assert_array_equal(look_up((constant(2.0), VertexColours()), uv), [1, 0.5, 2])
+    np.testing.assert_array_equal(VertexColours().look_up(uv[:2]), [1, 1, 1])
+
+
+def test_gradients_of_a_placement(x64):
+    placement = jnp.asarray([[1.0, 0.2, 0.3], [-0.1, 1.1, 0.45]])
+    uv = np.random.default_rng(5).uniform(-1, 2, (20, 2))
+
+    def total(placement):
+        texture = Texture(jnp.asarray(PIXELS, float), placement=placement, wrap=("mirror", "repeat"))
+        return jnp.sum(jax.vmap(texture.look_up)(uv) ** 2)
+
+    check_grads(total, (placement,), order=1, modes=("rev",), eps=1e-5)

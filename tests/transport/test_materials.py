@@ -11,8 +11,9 @@ from scipy import ndimage
 import jaxrelight as jr
 from jaxrelight import Part, Scene
 from jaxrelight.basis import cubemap
-from jaxrelight.brdf.material import Component, Material, textured_lambert, textured_phong, white_lambert
-from jaxrelight.brdf.texture import Texture, constant
+from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong, white_lambert
+from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.brdf.texture import Texture, VertexColours, constant
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import OFFSET, Tracer
@@ -96,6 +97,7 @@ def test_a_texture_is_stored_apart_from_grey_transport_and_changing_it_bakes_not
     transport = load_transport(tmp_path)
     paper = block_of(transport, "paper")
     assert paper.operator.shape[2] == 1
+    assert isinstance(paper.weight[0], Texture)
     np.testing.assert_array_equal(paper.weight[0].pixels, PIXELS[::-1])
 
 
@@ -125,6 +127,58 @@ def test_a_textured_material_needs_texture_coordinates(tmp_path):
     bare = dataclasses.replace(scene.parts[0].mesh, uv=None)
     with pytest.raises(jr.InputError, match="has no texture coordinates, which its material 'paper' needs"):
         precompute(dataclasses.replace(scene, parts=[Part(bare, "paper")]), METHOD, tmp_path)
+
+
+def test_a_mesh_without_texture_coordinates_has_the_mean_colour_of_its_material():
+    scene = _scene(Material(textured_lambert(TEXTURE).components, Texture(jnp.ones((2, 2, 3)))))
+    textured = scene.parts[0]
+    bare = Part(dataclasses.replace(textured.mesh, uv=None), "paper", "bare")
+    plain = dataclasses.replace(scene, parts=[bare]).with_plain_materials()
+    plain.check_materials()
+    material = as_material(plain.materials["paper"])
+    assert material.normal_map is None
+    np.testing.assert_allclose(material.components[0].weight[0].mean, PIXELS.mean(axis=(0, 1)), rtol=1e-5)
+    note = "'bare': no texture coordinates, which the material 'paper' needs; its mean colour is taken"
+    assert note in plain.notes
+    both = dataclasses.replace(scene, parts=[textured, bare]).with_plain_materials()
+    assert both.parts[0].material == "paper"
+    assert both.materials["paper"] is scene.materials["paper"]
+    assert both.parts[1].material == "paper without textures"
+    assert note in both.notes
+
+
+def test_texels_of_their_own_need_texture_coordinates(tmp_path):
+    maps = SpatialLobes(*(jnp.ones((2, 2, *shape)) for shape in ((3,), (1, 3), (1,), (1, 3), (2,))))
+    scene = _scene(Material((Component(maps),)))
+    bare = dataclasses.replace(scene.parts[0].mesh, uv=None)
+    bare_scene = dataclasses.replace(scene, parts=[Part(bare, "paper")]).with_plain_materials()
+    with pytest.raises(jr.InputError, match="has no texture coordinates, which its material 'paper' needs"):
+        precompute(bare_scene, METHOD, tmp_path)
+
+
+@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+def test_textures_are_placed_and_vertices_have_colours(tmp_path, receivers):
+    """On the second set, turned, mirrored, and times a colour: the same as a plain texture on placed coordinates."""
+    plain = _scene(textured_lambert(Texture(jnp.asarray(0.5 * PIXELS), wrap=("mirror", "repeat"))))
+    flat = plain.parts[0].mesh
+    assert flat.uv is not None
+    placed = 3 * np.column_stack([flat.uv[:, 1], -flat.uv[:, 0]])
+    mesh = dataclasses.replace(flat, uv=np.concatenate([flat.uv, flat.uv], 1), colours=np.full((len(flat.uv), 3), 0.5))
+    placement = jnp.asarray([[0.0, 3, 0], [-3, 0, 0]])
+    weight = Texture(TEXTURE.pixels, placement=placement, uv_set=1, wrap=("mirror", "repeat")), VertexColours()
+    other = _scene(Material((Component(white_lambert(), weight),)))
+    parts = [Part(dataclasses.replace(flat, uv=placed), "paper"), plain.parts[1]]
+    wanted = _picture(dataclasses.replace(plain, parts=parts), tmp_path / "plain", receivers)
+    parts = [Part(mesh, "paper"), plain.parts[1]]
+    got = _picture(dataclasses.replace(other, parts=parts), tmp_path / "placed", receivers)
+    np.testing.assert_allclose(got, wanted, atol=2e-4 * wanted.max())
+    assert wanted.max() > 0.1
+
+
+def test_vertex_colours_need_a_mesh_that_has_them(tmp_path):
+    scene = _scene(Material((Component(white_lambert(), (VertexColours(),)),)))
+    with pytest.raises(jr.InputError, match="have no colours, which its material 'paper' needs"):
+        precompute(scene, METHOD, tmp_path)
 
 
 def _brute_force(mesh, pixels, camera, resolution: int, light):

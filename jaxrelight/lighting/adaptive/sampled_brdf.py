@@ -31,7 +31,7 @@ class SampledBrdf(eqx.Module):
     table: BandwidthTable | None = None
     map: Texture | None = None
 
-    def towards(self, omega_o: Float[Array, "3"], uv: Float[Array, "2"], footprint: Float[Array, ""]) -> "BrdfSampler":
+    def towards(self, omega_o: Float[Array, "3"], uv: Float[Array, " u"], footprint: Float[Array, ""]) -> "BrdfSampler":
         """What one point reflects to the eye."""
         brdf = self.brdf.at(uv, footprint) if isinstance(self.brdf, PackedLobes) else self.brdf
         above = omega_o[2] > 0
@@ -43,7 +43,7 @@ class SampledBrdf(eqx.Module):
             sampler = LobeSampler(brdf, omega_o)
         return BrdfSampler(self, brdf, jax.lax.stop_gradient(sampler), omega_o, above)
 
-    def texture_bandwidth(self, uv: Float[Array, "2"], footprint: Float[Array, ""]) -> Float[Array, ""]:
+    def texture_bandwidth(self, uv: Float[Array, " u"], footprint: Float[Array, ""]) -> Float[Array, ""]:
         """How fast the BRDF itself varies from pixel to pixel, in cycles per pixel; 0 where it is one for all."""
         if self.map is None:
             return jnp.zeros((), uv.dtype)
