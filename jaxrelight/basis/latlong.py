@@ -143,6 +143,32 @@ def look_up(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Arra
     return pixels[row, jnp.mod(jnp.floor(u * width).astype(jnp.int32), width)]
 
 
+@jax.jit
+def interpolate(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[Array, "..."]) -> Float[Array, "... c"]:
+    """Radiance at image coordinates (u, v), bilinear between the centres of cells, for what is looked at.
+
+    Columns go around. From the centres of the top and bottom rows to the poles, values go to the mean of the row, so
+    that they are the same from all sides.
+    """
+    height, width = pixels.shape[:2]
+    x, y = u * width - 0.5, v * height - 0.5
+    left, top = jnp.floor(x), jnp.floor(y)
+    right, down = (x - left)[..., None], (y - top)[..., None]
+    column, row = left.astype(jnp.int32), top.astype(jnp.int32)
+
+    def of_row(row):
+        # Rows beyond the poles stand for those before them.
+        row = jnp.clip(row, 0, height - 1)
+        return (1 - right) * pixels[row, jnp.mod(column, width)] + right * pixels[row, jnp.mod(column + 1, width)]
+
+    between = (1 - down) * of_row(row) + down * of_row(row + 1)
+    for pole, away in ((0, y), (height - 1, height - 1 - y)):
+        share = jnp.clip(-2 * away, 0, 1)[..., None]
+        mean = jnp.broadcast_to(jnp.mean(pixels[pole], axis=0), between.shape)
+        between = (1 - share) * between + share * mean
+    return between
+
+
 class AreaResampling(eqx.Module):
     """The linear map from lat-long pixels to the mean radiance of cube-map texels.
 

@@ -137,6 +137,7 @@ class VisibleSurfaces(eqx.Module):
         u: where each pixel's direction lies in a lat-long map, rightwards 0 … 1.
         v: the same, downwards.
         corners: the vertices of each part's pixels, where a method asks for them.
+        map_rows: rows of a lat-long map whose cells are about as large as the pixels, a power of two.
     """
 
     parts: tuple[SurfacePart, ...]
@@ -146,6 +147,7 @@ class VisibleSurfaces(eqx.Module):
     u: Float[Array, "h w"]
     v: Float[Array, "h w"]
     corners: tuple[Corners, ...] = ()
+    map_rows: int = eqx.field(static=True, default=1 << 30)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -191,7 +193,8 @@ class VisibleSurfaces(eqx.Module):
         points = self.points.taken(np.concatenate([np.zeros(0, int), *starts]))
         covered, u, v = (as_array(np.asarray(of).reshape(-1)[None, chosen]) for of in (self.covered, self.u, self.v))
         place_of = places([part.pixels for part in parts], len(chosen))
-        return VisibleSurfaces(tuple(parts), points, place_of, covered, u, v, tuple(corners)), rows
+        seen = VisibleSurfaces(tuple(parts), points, place_of, covered, u, v, tuple(corners), self.map_rows)
+        return seen, rows
 
     def image(self, rows: Sequence[Float[Array, "_ c"]]) -> Float[Array, "h w c"]:
         """What the pixels of each part show; 0 where no surface is seen."""
@@ -206,8 +209,15 @@ class VisibleSurfaces(eqx.Module):
         return self.image([emitted(materials[part.material].emission, part.pixels) for part in self.parts])
 
     def background(self, environment: Environment) -> Float[Array, "h w 3"]:
-        """The environment in every pixel's direction."""
-        return _background(environment, self.u, self.v)
+        """The environment in every pixel's direction, between the cells of its map.
+
+        A map with far finer cells than pixels is averaged first, so that it does not flicker from pixel to pixel.
+        """
+        pixels = environment.pixels
+        rows, columns = min(len(pixels), self.map_rows), min(pixels.shape[1], 2 * self.map_rows)
+        if len(pixels) >= 2 * rows:
+            pixels = latlong.resized(pixels, rows, columns)
+        return _background(pixels, environment.rotate_y, environment.scale, self.u, self.v)
 
 
 @jax.jit
@@ -218,8 +228,8 @@ def emitted(emission: Float[Array, "3"] | None, pixels: SurfacePixels) -> Float[
 
 
 @jax.jit
-def _background(environment: Environment, u, v):
-    return latlong.look_up(environment.pixels, u + environment.rotate_y / 360, v) * environment.scale
+def _background(pixels: Float[Array, "h w 3"], rotate_y, scale, u, v):
+    return latlong.interpolate(pixels, u + rotate_y / 360, v) * scale
 
 
 def trace_view(
@@ -277,7 +287,9 @@ def trace_view(
     u, v = latlong.coordinates(gbuffer.directions)
     u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
     place = places([part.pixels for part in parts], gbuffer.covered.size)
-    return VisibleSurfaces(tuple(parts), points, place, covered, u, v), gbuffer
+    # A row of a map is as high as a pixel of the middle of the picture, or lower.
+    map_rows = 1 << int(np.ceil(np.log2(np.pi / np.sqrt(camera.solid_angles().max()))))
+    return VisibleSurfaces(tuple(parts), points, place, covered, u, v, map_rows=map_rows), gbuffer
 
 
 def corners_of(

@@ -28,6 +28,10 @@ def look_up(pixels, u, v) -> np.ndarray:
     return np.asarray(_look_up(pixels, np.asarray(u, np.float32), np.asarray(v, np.float32)))
 
 
+def interpolate(pixels, u, v) -> np.ndarray:
+    return np.asarray(latlong.interpolate(pixels, np.asarray(u, np.float32), np.asarray(v, np.float32)))
+
+
 @functools.cache
 def shares(height: int, width: int, resolution: int) -> np.ndarray:
     """Weights [texel, pixel] of the resampling, in float64."""
@@ -151,6 +155,39 @@ def test_look_up_finds_the_constant_cell():
         np.testing.assert_array_equal(look_up(pixels, u + 1, v), pixels)
     corners = look_up(pixels, [0.0, 1.0], [0.0, 1.0])
     np.testing.assert_array_equal(corners[:, 0], [0, 24])
+
+
+def test_interpolation_meets_the_cells_in_their_centres_and_is_linear_between():
+    height, width = 4, 8
+    pixels = np.random.default_rng(1).random((height, width, 2)).astype(np.float32)
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    np.testing.assert_allclose(interpolate(pixels, u, v), pixels, atol=1e-6)
+    # Half-way to the right, also across the seam, and half-way down.
+    np.testing.assert_allclose(
+        interpolate(pixels, u + 0.5 / width, v), (pixels + np.roll(pixels, -1, axis=1)) / 2, atol=1e-6
+    )
+    np.testing.assert_allclose(interpolate(pixels, u - 3, v), pixels, atol=1e-5)
+    between = interpolate(pixels, u[:-1], v[:-1] + 0.5 / height)
+    np.testing.assert_allclose(between, (pixels[:-1] + pixels[1:]) / 2, atol=1e-6)
+
+
+def test_interpolation_has_no_step_at_seam_and_poles():
+    pixels = np.random.default_rng(2).random((4, 8, 3)).astype(np.float32)
+    v = np.linspace(0, 1, 50)
+    seam = [interpolate(pixels, np.full(50, u), v) for u in (0.0, 1e-6, 1 - 1e-6, 1.0)]
+    for side in seam[1:]:
+        np.testing.assert_allclose(side, seam[0], atol=1e-4)
+    u = np.linspace(0, 1, 33)
+    for pole, row in ((0.0, 0), (1.0, -1)):
+        np.testing.assert_allclose(
+            interpolate(pixels, u, np.full(33, pole)), np.tile(pixels[row].mean(axis=0), (33, 1)), atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (3, 1), (4, 8)])
+def test_interpolation_of_a_constant_map_is_constant(shape):
+    u, v = np.random.default_rng(3).random((2, 50))
+    np.testing.assert_allclose(interpolate(np.full((*shape, 3), 0.7, np.float32), u, v), 0.7, rtol=1e-6)
 
 
 @pytest.fixture

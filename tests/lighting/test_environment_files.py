@@ -66,7 +66,7 @@ def test_the_same_light_in_files_of_other_sizes_and_kinds_is_the_same_picture(tm
     jr.write_image(tmp_path / "map.exr", smooth(latlong.directions(u, v)))
     jr.write_image(tmp_path / "strip.exr", np.concatenate(smooth(cubemap.directions(32)).reshape(6, 32, 32, 3), axis=1))
     maps = [picture(load_environment(tmp_path / name, 30)) for name in ("map.exr", "strip.exr")]
-    np.testing.assert_allclose(maps[1], maps[0], atol=0.1)  # the background shows the cells as they are
+    np.testing.assert_allclose(maps[1], maps[0], atol=0.1)
     covered = maps[0][..., 3] == 1
     np.testing.assert_allclose(maps[1][covered], maps[0][covered], rtol=1e-3)
 
