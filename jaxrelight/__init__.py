@@ -11,7 +11,7 @@ The public names, each loaded when it is first used:
     methods     Transport, Indirect, Prefiltered, Adaptive
     lighting    prepare, open_store, Relighter, Image, LightLayers
     operators   Operator, Dense, SparseRows, Clustered, Stacked, as_lineax, sharded
-    images      read_image, write_image, tone_map, image_error
+    images      read_image, write_image, tone_map, auto_exposure, image_error
     speed       keep_compilations
     errors      InputError
     version     __version__
@@ -53,7 +53,7 @@ _HOMES = {
     "operators.clustered": ("Clustered",),
     "operators.stacked": ("Stacked",),
     "operators.sharded": ("sharded",),
-    "images": ("read_image", "write_image", "tone_map", "image_error"),
+    "images": ("read_image", "write_image", "tone_map", "auto_exposure", "image_error"),
     "compilation_cache": ("keep_compilations",),
     "errors": ("InputError",),
 }

@@ -283,8 +283,9 @@ class Adaptive(Method):
     """Let the environment and local lights cast shadows."""
     minification: Literal["levels", "averaged", "none"] = "levels"
     """What is seen of an SBRDF whose texels are smaller than pixels, as under Prefiltered."""
-    exposure: float = 0.0
-    """Stops by which the picture will be made brighter before it is displayed; the error is one of displayed values."""
+    exposure: float | Literal["auto"] = "auto"
+    """Stops by which the picture will be made brighter before it is displayed; the error is one of displayed values.
+    'auto' estimates from a few hundred pixels what `auto_exposure` will choose of the picture."""
     seed: int = 0
     """Seed of the samples; a whole number from 0."""
 
@@ -299,7 +300,8 @@ class Adaptive(Method):
         check_choice("antialiasing", self.antialiasing, (1, 4, 16))
         check_choice("shadows", self.shadows, (True, False))
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
-        check_number("exposure", self.exposure, math.isfinite, "finite")
+        if self.exposure != "auto":
+            check_number("exposure", self.exposure, math.isfinite, "finite, or 'auto'")
         check_whole("seed", self.seed, 0, math.inf)
 
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:

@@ -59,7 +59,7 @@ DEFAULTS: dict[type[Method], dict[str, Any]] = {
         "antialiasing": 1,
         "shadows": True,
         "minification": "levels",
-        "exposure": 0.0,
+        "exposure": "auto",
         "seed": 0,
     },
 }
@@ -176,6 +176,7 @@ def test_samples_of_a_pixel_make_a_square(samples, side):
         (Adaptive, {"samples": 0.5}),
         (Adaptive, {"antialiasing": 16}),
         (Adaptive, {"exposure": -100.0}),
+        (Adaptive, {"exposure": "auto"}),
     ],
 )
 def test_the_ends_of_every_range_are_accepted(kind: type[Method], good: dict):
@@ -248,7 +249,8 @@ def test_the_ends_of_every_range_are_accepted(kind: type[Method], good: dict):
         (Adaptive, {"samples": 4, "tolerance": 0.1}, "samples are a budget and tolerance is a quality"),
         (Adaptive, {"antialiasing": 2}, "antialiasing is 2; it must be 1, 4 or 16"),
         (Adaptive, {"minification": "mipmap"}, "minification is 'mipmap'"),
-        (Adaptive, {"exposure": float("inf")}, "exposure is inf; it must be finite"),
+        (Adaptive, {"exposure": float("inf")}, "exposure is inf; it must be finite, or 'auto'"),
+        (Adaptive, {"exposure": "bright"}, "exposure is 'bright'; it must be finite, or 'auto'"),
         (Adaptive, {"seed": -1}, "seed is -1; it must be a whole number from 0"),
     ],
 )

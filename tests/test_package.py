@@ -74,6 +74,7 @@ PUBLIC = {
     "area",
     "as_lineax",
     "ashikhmin_shirley",
+    "auto_exposure",
     "box",
     "constant",
     "directional",

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from jaxrelight.commands.options import Json
+from jaxrelight.commands.options import Exposure, Json, Tone
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
 from jaxrelight.methods import Transport
@@ -27,6 +27,8 @@ class Demo:
     """Factor on the number of quads along each side of every mesh."""
     height: int = 480
     """Rows of each picture."""
+    exposure: Exposure = "auto"
+    tone: Tone = "linear"
     json: Json = False
 
     def run(self) -> None:
@@ -36,7 +38,7 @@ class Demo:
                 import numpy as np
 
                 from jaxrelight.commands.pictures import describe, prepared, shaded
-                from jaxrelight.images import image_error, write_image
+                from jaxrelight.images import auto_exposure, image_error, write_image
                 from jaxrelight.progress import progress
                 from jaxrelight.scene.demo_scene import demo_scene
 
@@ -55,9 +57,11 @@ class Demo:
                 turned = [shaded(relighter, sky.with_(rotate_y=degrees), view, {})[1] for degrees in _ROTATIONS]
                 smooth = [pixels.reshape(h, 2, w, 2, 4).mean(axis=(1, 3)) for pixels in turned]
                 rows.append(np.concatenate(smooth, axis=1))
-            write_image(self.output / "relit.png", np.concatenate(rows), exposure=-0.3)
+            sheet = np.concatenate(rows)
+            exposure = auto_exposure(sheet) if self.exposure == "auto" else self.exposure
+            write_image(self.output / "relit.png", sheet, exposure, tone=self.tone)
             for degrees, picture in zip(_ROTATIONS, np.split(rows[0], len(_ROTATIONS), axis=1), strict=True):
-                write_image(self.output / f"sky_turned_{degrees:.0f}.png", picture, exposure=-0.3)
+                write_image(self.output / f"sky_turned_{degrees:.0f}.png", picture, exposure, tone=self.tone)
 
             # At the size that was asked for: once to compile, then timed.
             shaded(relighter, sky, relighter.view(), {})
@@ -71,5 +75,6 @@ class Demo:
                 "picture": str(self.output / "relit.png"),
                 **describe(relighter),
                 "milliseconds": {stage: 1e3 * time for stage, time in spent.items()},
+                "exposure": exposure,
                 "error": {"coefficients": error.untrimmed, "without_worst_5_percent": error.trimmed},
             }

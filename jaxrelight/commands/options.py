@@ -109,11 +109,21 @@ class ViewOptions:
         return dataclasses.replace(default, **overrides)
 
 
+_EXPOSURE = (
+    "Stops by which a .png is made brighter; .exr and .hdr hold radiance. 'auto' shows the 95th percentile of the "
+    "luminance of surfaces at 0.8 of white. Adaptive lighting plans its samples for displayed values, so there a "
+    "number steers the samples of every picture."
+)
+_TONE = "From radiance to what a .png shows: 'linear' clips at white; 'filmic' (Hable) and 'agx' (Sobotka) roll off."
+Exposure = Annotated[float | Literal["auto"], tyro.conf.arg(help=_EXPOSURE)]
+Tone = Annotated[Literal["linear", "filmic", "agx"], tyro.conf.arg(help=_TONE)]
+
+
 @dataclasses.dataclass(frozen=True)
 class PictureOptions:
     """The image file."""
 
     background: Literal["environment", "none"] = "environment"
     """What is seen where no surface is."""
-    exposure: float = 0.0
-    """Stops by which a .png is made brighter; .exr and .hdr hold radiance."""
+    exposure: Exposure = "auto"
+    tone: Tone = "linear"

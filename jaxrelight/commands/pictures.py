@@ -12,6 +12,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.images.false_colour import false_colour
 from jaxrelight.images.files import check_writable, write_image, write_layers
+from jaxrelight.images.tone import AUTO_PERCENTILE, Exposure, Tone, auto_exposure, displayed, luminance, shown_pixels
 from jaxrelight.lighting.contract import Image, Relighter
 from jaxrelight.lighting.picture_error import PictureError
 from jaxrelight.lighting.prepare import prepare_with_build
@@ -26,15 +27,20 @@ from jaxrelight.timing import timed
 _TRACING = "visibility", "between", "pixels"
 # The least share of negative radiance that is told.
 _TOLD_NEGATIVE = 0.001
+# Displayed values above this are white; pictures are dark if nearly all values are below that. And the least share of
+# clipped pixels that is told.
+_WHITE, _DARK, _TOLD_CLIPPED = 1 - 0.5 / 255, 0.1, 0.1
 
 
-def check_output(output: pathlib.Path, layers: bool, error_samples: int = 0) -> None:
-    """Refuses, before long work, what cannot be written or measured, and layers in another file than an EXR."""
+def check_output(output: pathlib.Path, layers: bool, error_samples: int = 0, tone: Tone = "linear") -> None:
+    """Refuses, before long work, what cannot be written or measured, and layers or a tone curve in the wrong file."""
     if error_samples < 0:
         raise InputError(f"--error-samples must be at least 0, not {error_samples}")
     check_writable(output)
     if layers and output.suffix.lower() != ".exr":
         raise InputError(f"{output}: only an .exr holds layers; name one, or leave --layers out")
+    if tone != "linear" and output.suffix.lower() != ".png":
+        raise InputError(f"{output}: holds radiance, to which no tone curve applies; name a .png, or leave --tone out")
 
 
 def prepared(
@@ -98,13 +104,17 @@ def make_picture(
     """
     with timed(seconds, "view"):
         view = relighter.view(camera, **view_options)
+    is_png = command.output.suffix.lower() == ".png"
     how = {"background": command.picture.background == "environment", "layers": command.layers, "report": report}
     image, rgba = shaded(relighter, lights, view, seconds, **how)
+    exposure, stops = command.picture.exposure, 0.0
+    if is_png:
+        stops = auto_exposure(rgba) if exposure == "auto" else exposure
     with timed(seconds, "write"):
         if command.layers:
             write_layers(command.output, rgba, {name: np.asarray(layer) for name, layer in image.layers.items()})
         else:
-            write_image(command.output, rgba, command.picture.exposure)
+            write_image(command.output, rgba, stops, tone=command.picture.tone)
     with timed(seconds, "error"):
         error = image.measure(command.error_samples)
     left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
@@ -117,6 +127,7 @@ def make_picture(
                 "that are left out leave it; more of them, or another form of factors, leave less"
             ]
         )
+    clipped = told_clipped(rgba, exposure, command.picture.tone) if is_png else None
     shown = rgba[..., 3] > 0
     plan = image.measured.get("plan")
     return {
@@ -127,11 +138,35 @@ def make_picture(
         "mean_radiance": float(rgba[shown][:, :3].mean()) if shown.any() else 0.0,
         **({} if error is None else {"error": _describe_error(error)}),
         "negative": negative,
+        "exposure": stops if is_png else None,
+        "clipped": clipped,
         "lights": len(lights.local),
         "leaves_out": list(left_out),
         **({} if plan is None else _describe_plan(plan, view, command.maps)),
         **describe(relighter),
     }
+
+
+def told_clipped(pixels: np.ndarray, exposure: Exposure, tone: Tone) -> float:
+    """The share of what a .png shows of surfaces that is clipped to white in a channel; notes where a picture is bad.
+
+    Args:
+        pixels: RGBA of the picture.
+        exposure: that was asked for.
+        tone: its curve.
+    """
+    automatic = auto_exposure(pixels)
+    seen = pixels[shown_pixels(pixels)]
+    values = displayed(seen, automatic if exposure == "auto" else exposure, tone)
+    clipped = float(np.mean((values > _WHITE).any(axis=-1)))
+    hint = "" if exposure == "auto" else f"; --exposure auto takes {automatic:+.1f}"
+    if not (luminance(seen) > 0).any():
+        notes(["the picture is black: no light reaches what is seen; look at the lights, and at what hides them"])
+    elif np.percentile(values.max(axis=-1), AUTO_PERCENTILE) < _DARK:
+        notes([f"the picture is nearly black at an exposure of {exposure}{hint}"])
+    elif clipped > _TOLD_CLIPPED:
+        notes([f"{clipped:.0%} of what is seen is clipped to white{hint}; --tone agx or filmic clips less"])
+    return clipped
 
 
 def _describe_error(error: PictureError) -> dict:

@@ -49,7 +49,7 @@ class Relight:
                 from jaxrelight.progress import notes
 
                 import_modules(self.modules)
-            check_output(self.output, self.layers, self.error_samples)
+            check_output(self.output, self.layers, self.error_samples, self.picture.tone)
             with timed(seconds, "open"):
                 relighter = open_store(self.store)
             if (self.layers or self.direct_samples is not None) and relighter.method.name != "indirect":

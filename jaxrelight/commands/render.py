@@ -62,7 +62,7 @@ class Render:
 
                 import_modules(self.modules)
             method = method_of(self, exposure=self.picture.exposure)
-            check_output(self.output, self.layers, self.error_samples)
+            check_output(self.output, self.layers, self.error_samples, self.picture.tone)
             with timed(seconds, "load"):
                 scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
                 scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))

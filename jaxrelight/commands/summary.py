@@ -13,6 +13,7 @@ _SHARES = {
     "albedo_at_degrees",
     "covered",
     "negative",
+    "clipped",
     "error",
     "residual",
     "held_out",
@@ -61,6 +62,8 @@ def _words(name: str, value) -> str:
         return value
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if name == "exposure":
+        return f"{value:+.2f} stops"
     if name == "seconds":
         return f"{value:.2f} s" if value < 10 else f"{value:.0f} s"
     if name == "milliseconds":

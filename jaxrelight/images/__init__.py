@@ -6,11 +6,12 @@ that holds coverage.
 
 from jaxrelight.images.files import ImageFile, check_writable, decode_image, open_image, read_image, write_image
 from jaxrelight.images.metric import ImageError, image_error
-from jaxrelight.images.tone import srgb_decode, srgb_encode, tone_map
+from jaxrelight.images.tone import auto_exposure, srgb_decode, srgb_encode, tone_map
 
 __all__ = [
     "ImageError",
     "ImageFile",
+    "auto_exposure",
     "check_writable",
     "decode_image",
     "image_error",

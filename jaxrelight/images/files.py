@@ -19,7 +19,7 @@ from jaxrelight.images.exr import open_exr, write_channels, write_exr
 from jaxrelight.images.exr_layers import Wanted, split_choice
 from jaxrelight.images.kinds import READABLE, SUFFIXES, kind_of, kind_of_suffix, other_kind_of
 from jaxrelight.images.radiance_hdr import decode_radiance, encode_radiance
-from jaxrelight.images.tone import to_bytes, to_unit, tone_map
+from jaxrelight.images.tone import Exposure, Tone, to_bytes, to_unit, tone_map
 
 _WRITABLE = ".exr", ".hdr", ".pic", ".png"
 _MAX_HEADER = 2**20
@@ -150,7 +150,14 @@ def _misnamed(name: str, kind: str, suffix: str) -> tuple[str, ...]:
     return () if suffix.lower() in ("", *SUFFIXES[kind]) else (f"{name}: read as {kind}, which is what it holds",)
 
 
-def write_image(path: str | os.PathLike, pixels: ArrayLike, exposure: float = 0.0, *, alpha: bool = False) -> None:
+def write_image(
+    path: str | os.PathLike,
+    pixels: ArrayLike,
+    exposure: Exposure = 0.0,
+    *,
+    tone: Tone = "linear",
+    alpha: bool = False,
+) -> None:
     """Write linear Rec.709 pixels in the format that the extension names.
 
     The file appears whole or not at all: it is written beside its place and then moved there.
@@ -158,7 +165,9 @@ def write_image(path: str | os.PathLike, pixels: ArrayLike, exposure: float = 0.
     Args:
         path: .exr keeps float32 and a fourth channel exactly; .hdr and .pic keep RGB at about 1 %; .png is tone mapped.
         pixels: Floating point `[h, w, 3 or 4]`.
-        exposure: Stops, for .png; the other formats hold radiance, which has no exposure.
+        exposure: Stops, or "auto", for .png; the other formats hold radiance, which has no exposure. See
+            `auto_exposure`.
+        tone: The curve between radiance and what a .png shows: "linear", "filmic" or "agx"; see `displayed`.
         alpha: Whether a .png keeps the fourth channel. Without it RGB is written as it is, already blended.
 
     Raises:
@@ -172,7 +181,7 @@ def write_image(path: str | os.PathLike, pixels: ArrayLike, exposure: float = 0.
     elif suffix in (".hdr", ".pic"):
         write_whole(path, lambda partial: partial.write_bytes(encode_radiance(image)))
     elif suffix == ".png":
-        shown = tone_map(image, exposure)
+        shown = tone_map(image, exposure, tone)
         if alpha and image.shape[2] == 4:
             shown = np.concatenate([shown, to_bytes(to_unit(image[..., 3:]))], axis=-1)
         write_whole(path, lambda partial: _write_png(partial, shown))

@@ -322,6 +322,39 @@ def test_exposure_is_for_png(folder, run, made):
     np.testing.assert_array_equal(read_image("out0.exr"), read_image("out2.exr"))
 
 
+def test_pngs_are_exposed_automatically_and_say_how(folder, run, made):
+    shown = [summary_of(run("relight", "made", "-o", "out.png", "--scale", scale, "--json")) for scale in ("1", "1e-4")]
+    assert shown[1]["exposure"] - shown[0]["exposure"] == pytest.approx(np.log2(1e4), abs=1e-3)
+    assert shown[0]["clipped"] == shown[1]["clipped"] < 0.05
+    status, out, _ = run("relight", "made", "-o", "out.png", "--exposure", "1.5")
+    assert status == 0
+    assert re.search(r"exposure  \+1.50 stops\n +clipped  \d", out)
+    assert summary_of(run("relight", "made", "-o", "out.exr", "--json"))["exposure"] is None
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--exposure 9", "note: 100% of what is seen is clipped to white; --exposure auto takes "),
+        ("--exposure -9", "note: the picture is nearly black at an exposure of -9.0; --exposure auto takes "),
+        ("--scale 0", "note: the picture is black: no light reaches what is seen"),
+    ],
+)
+def test_clipped_and_black_pngs_are_told(folder, run, made, options: str, said: str):
+    assert said in run("relight", "made", "-o", "out.png", *options.split())[2]
+    assert said not in run("relight", "made", "-o", "out.exr", *options.split())[2]
+
+
+def test_tones_are_for_png(folder, run, made):
+    pictures = []
+    for tone in ("linear", "filmic", "agx"):
+        assert run("relight", "made", "-o", "out.png", "--tone", tone)[0] == 0
+        pictures.append(read_image("out.png"))
+    assert np.abs(pictures[1] - pictures[0]).max() > 0.02 < np.abs(pictures[2] - pictures[1]).max()
+    message = refusal_of(run("relight", "made", "-o", "b.exr", "--tone", "agx"))
+    assert "b.exr: holds radiance, to which no tone curve applies; name a .png, or leave --tone out" in message
+
+
 def test_other_camera_of_a_store_of_pixels_is_refused(folder, run):
     assert run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS)[0] == 0
     message = refusal_of(run("relight", "made", "-o", "b.exr", "--fov-y", "50"))

@@ -96,7 +96,7 @@ def parsed(monkeypatch):
 @pytest.mark.parametrize("lighting", METHODS)
 def test_help_is_of_one_method_and_short(lighting: str):
     options = options_in(help_of("render", "--lighting", lighting, "--help"))
-    assert len(options) == len(set(options)) <= 25
+    assert len(options) == len(set(options)) <= 28
     dials = {field.name: f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(METHODS[lighting])}
     plain = {option.replace("--no-", "--") for option in options}
     assert {name for name, option in dials.items() if option in plain} == set(dials) - METHODS[lighting].advanced

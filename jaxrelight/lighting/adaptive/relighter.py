@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.images.tone import auto_exposure
 from jaxrelight.lighting.adaptive.estimate import Blocked, SampleWork, estimate, estimate_listed, list_work
 from jaxrelight.lighting.adaptive.even_shading import even_layers, even_samples, planning_pays
 from jaxrelight.lighting.adaptive.layer_estimates import estimate_layer, looked_up
@@ -47,6 +48,8 @@ from jaxrelight.transport.model import SceneGeometry
 PREDICTING_SAMPLES = 8
 # Where neither samples nor a tolerance are given.
 DEFAULT_TOLERANCE = 0.01
+# Pixels that tell the exposure where it is automatic, their samples, and the seed of those; users' seeds are others.
+_EXPOSING_PIXELS, _EXPOSING_SAMPLES, _EXPOSING_SEED = 256, 64, -8
 # How often a plan's errors are measured at a few pixels, and planned again.
 _PILOTS = 1
 
@@ -180,7 +183,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         Raises:
             InputError: inside of jit under an environment, as a plan's size follows from the light's values.
         """
-        visibility = self._visibility(lit, view)
+        visibility = self._visibility(lit, view.surfaces)
         if lit.mipmap is None:
             return AdaptiveTraced(None, None, visibility)
         plan = self.plan(lit, view, report=report)
@@ -227,7 +230,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         """
         if traced is None:
             plan = None if lit.mipmap is None else self.plan(lit, view, report=report)
-            traced = AdaptiveTraced(plan, None, self._visibility(lit, view))
+            traced = AdaptiveTraced(plan, None, self._visibility(lit, view.surfaces))
         surfaces, plan = view.surfaces, traced.plan
         under = None
         if plan is not None and lit.mipmap is not None:
@@ -244,14 +247,27 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
     def pictured(self, radiance: Float[np.ndarray, "s 3"], lit: AdaptiveLight, sample: Sample) -> Pictured:
         """What samples and interpolation bring: all but local lights, the sun and what surfaces emit."""
         taken: TakenPixels = sample.view
-        surfaces = taken.surfaces
-        points = surfaces.points
-        shown = self.method.shadows
-        visibility = trace_visibility(points, lit.groups) if shown else all_visible(points, lit.groups)
-        parts = shade_lights(self.materials, surfaces, lit.groups, visibility), surfaces.emission(self.materials)
-        exact = sum(np.asarray(part)[0] for part in parts if part is not None)
-        alike = taken.in_picture(np.zeros((surfaces.covered.size, 3)) + exact)
+        alike = taken.in_picture(self._without_samples(lit, taken.surfaces))
         return Pictured({} if lit.mipmap is None else {MEANS: radiance - alike}, alike)
+
+    def _without_samples(self, lit: AdaptiveLight, surfaces: VisibleSurfaces) -> Float[np.ndarray, "s 3"]:
+        """Radiance of pixels in a row that takes no samples: of local lights, the sun and what surfaces emit."""
+        visibility = self._visibility(lit, surfaces)
+        parts = shade_lights(self.materials, surfaces, lit.groups, visibility), surfaces.emission(self.materials)
+        return sum((np.asarray(part)[0] for part in parts if part is not None), np.zeros((surfaces.covered.size, 3)))
+
+    def displayed_exposure(self, lit: AdaptiveLight, view: AdaptiveView) -> float:
+        """Stops by which plans take it that the picture is made brighter: the dial's.
+
+        Where that is "auto", what a few hundred of the view's pixels ask for, drawn evenly; see `auto_exposure`.
+        """
+        if self.method.exposure != "auto":
+            return self.method.exposure
+        pixels = view.surfaces.pixels
+        count = min(_EXPOSING_PIXELS, len(pixels))
+        surfaces, _ = view.surfaces.taken(np.sort(np.random.default_rng(0).choice(pixels, count, replace=False)))
+        by_samples = self.exact_radiance(lit, surfaces, _EXPOSING_SAMPLES, _EXPOSING_SEED)
+        return auto_exposure(by_samples + self._without_samples(lit, surfaces))
 
     def expected_error(
         self, lit: AdaptiveLight, view: AdaptiveView, *, samples: int = ERROR_SAMPLES, seed: int = 0
@@ -360,7 +376,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         samplers = [[part.sampler for part in of_part] for of_part in components]
         weights = [[part.weight for part in of_part] for of_part in components]
         blocked = [self._blocked(view, part) for part in range(len(components))]
-        trials = Trials(view, light, samplers, weights, blocked, 2.0**-method.exposure)
+        trials = Trials(view, light, samplers, weights, blocked, 2.0 ** -self.displayed_exposure(lit, view))
         tried, pixels, shadows = try_noise(trials), max(view.covered_count(), 1), method.shadows
         layers, power = even_layers(view, tried, trials.layers)
         even = tolerance is not None and not planning_pays(
@@ -460,8 +476,8 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         """The components of each part's material."""
         return [self.sampled_materials[part.material].components for part in view.surfaces.parts]
 
-    def _visibility(self, lit: AdaptiveLight, view: AdaptiveView) -> Visibility:
-        points = view.surfaces.points
+    def _visibility(self, lit: AdaptiveLight, surfaces: VisibleSurfaces) -> Visibility:
+        points = surfaces.points
         return trace_visibility(points, lit.groups) if self.method.shadows else all_visible(points, lit.groups)
 
     def _blocked(self, view: AdaptiveView, part: int) -> Blocked | None:

@@ -19,7 +19,7 @@ from jaxrelight.brdf.texture import Texture
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import transformed
 from jaxrelight.images import srgb_encode
-from jaxrelight.images.tone import to_unit
+from jaxrelight.images.tone import auto_exposure, to_unit
 from jaxrelight.lighting.adaptive import relighter as module
 from jaxrelight.lighting.adaptive.estimate import RUN
 from jaxrelight.lighting.adaptive.layer_estimates import display_slope, largest_around
@@ -67,8 +67,14 @@ def prepared(scene: Scene, **dials) -> AdaptiveRelighter:
 
 @functools.cache
 def of_scene(**dials) -> AdaptiveRelighter:
-    """The ball on the floor, by any dials."""
-    return dataclasses.replace(of_scene(), method=Adaptive(**dials)) if dials else prepared(ball_on_floor())
+    """The ball on the floor, by any dials; the displayed picture is as bright as its radiance."""
+    dials = {"exposure": 0.0} | dials
+    return dataclasses.replace(_of_scene(), method=Adaptive(**dials))
+
+
+@functools.cache
+def _of_scene() -> AdaptiveRelighter:
+    return prepared(ball_on_floor())
 
 
 @functools.cache
@@ -118,6 +124,22 @@ def test_the_fewest_samples_may_be_better_than_what_was_asked_for(monkeypatch):
     assert (fewest, shaded_pixels.sum()) == (RUN, plan.shaded)
     assert max(plan.error, off(image, wanted(False), covered())) < 0.02
     assert plan.shaded == shaded(of_scene(shadows=False, tolerance=0.04), sky(), view())[0].shaded
+
+
+def test_automatic_exposure_plans_for_what_will_be_displayed():
+    """It estimates the picture's own exposure, so that darker light takes the same samples."""
+    automatic = of_scene(shadows=False, exposure="auto", tolerance=0.02)
+    image = np.asarray(of_scene(shadows=False).shade_uniform(sky(), view(), 256, filtered=True))
+    wanted_stops = auto_exposure(image[covered()])
+    assert automatic.displayed_exposure(sky(), view()) == pytest.approx(wanted_stops, abs=0.15)
+    own = sky().environment
+    assert own is not None
+    dim = automatic.light(own.with_(scale=1e-3))
+    stops = automatic.displayed_exposure(dim, view())
+    assert stops == pytest.approx(automatic.displayed_exposure(sky(), view()) + np.log2(1e3), abs=1e-3)
+    assert of_scene(exposure=1.5).displayed_exposure(sky(), view()) == 1.5
+    plans = [automatic.plan(one, view()) for one in (sky(), dim)]
+    assert plans[1].samples == pytest.approx(plans[0].samples, rel=0.02)
 
 
 def test_small_pictures_are_shaded_evenly():
