@@ -3,17 +3,44 @@
 import collections
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from jaxrelight.commands.options import Json, Modules, import_modules
+from jaxrelight.commands.options import Json, Modules, Up, import_modules
 from jaxrelight.commands.summary import summarize
 from jaxrelight.methods import Transport
 from jaxrelight.progress import notes
 
 if TYPE_CHECKING:
     from jaxrelight.brdf.material import Material
+    from jaxrelight.geometry.camera import Camera
+    from jaxrelight.geometry.mesh import Mesh
+
+# What the figures of a line are.
+_MEANINGS = {
+    "meshes": "vertices and faces that rays meet, after repair",
+    "bounds": "smallest and largest x, y and z of all meshes in the scene, in metres",
+    "file_bounds": "of a mesh file as it is, which by itself is scaled to a longest side of 1 m",
+    "camera": "the scene's own; positions in metres, vertical field of view in degrees, picture in pixels",
+    "framing_camera": "one that shows all of it: --origin and --target, or [camera] of a scene file",
+    "lamp": "where a [[light]] of type point lights what that camera sees, in metres, and its intensity in W/sr",
+    "environment": "pixels of its map",
+    "lights": "local ones",
+    "receivers": "points at which transport is known",
+    "rows": "of the operator: receivers, times the terms of their materials",
+    "kept_energy": "the share of transport's squares that the kept coefficients hold",
+    "operator_bytes": "in memory",
+    "bytes": "on disk, by layer",
+    "unused_layers": "folders of the store that may be deleted",
+    "largest_error_for_unit_light": "of radiance, of any receiver, under light of root-mean-square radiance 1",
+    "largest": "value of a channel, linear",
+    "mean": "of each channel, linear Rec.709",
+    "negative_pixels": "with a channel below 0",
+    "not_finite_pixels": "with NaN or infinity",
+    "albedo_at_degrees": "reflected share of white light by its angle from the normal",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,6 +49,7 @@ class Info:
 
     path: tyro.conf.Positional[pathlib.Path]
     """A store's folder, a .toml scene, a mesh, an image, or a .binary, .bsdf or .brdf file."""
+    up: Up = "y"
     modules: Modules = ()
     json: Json = False
 
@@ -32,10 +60,10 @@ class Info:
         if self.path.is_dir():
             summary = _store(self.path)
         elif suffix in (".toml", ".ply", ".obj", ".stl", ".glb", ".gltf"):
-            summary = _scene(self.path)
+            summary = _scene(self.path, self.up)
         else:
             summary = _brdf(self.path) if suffix in (".binary", ".bsdf", ".brdf") else _image(self.path)
-        summarize({"command": "info", **summary}, self.json)
+        summarize({"command": "info", **summary}, self.json, _MEANINGS)
 
 
 def _store(path: pathlib.Path) -> dict:
@@ -76,12 +104,22 @@ def _store(path: pathlib.Path) -> dict:
     return summary
 
 
-def _scene(path: pathlib.Path) -> dict:
+def _scene(path: pathlib.Path, up: Literal["y", "z"]) -> dict:
     from jaxrelight.brdf.material import as_material
+    from jaxrelight.geometry.mesh import load_parts
+    from jaxrelight.scene.framing import framing, lamp_for
+    from jaxrelight.scene.mesh_placement import turned_up
     from jaxrelight.scene.mesh_scene import open_scene
 
-    scene = open_scene(path)
+    scene = open_scene(path, up=up)
     notes(scene.notes)
+    shapes, of_file = [part.mesh for part in scene.parts], None
+    if path.suffix.lower() != ".toml":
+        # Without the floor that it is put on.
+        shapes = shapes[:-1]
+        of_file = _describe_bounds([part.mesh for part in turned_up(load_parts(path), up)])
+    framed = framing(shapes)
+    lamp, intensity = lamp_for(framed, shapes)
     sky, camera, meshes = scene.lights.environment, scene.camera, {}
     for number, part in enumerate(scene.parts):
         counts = {"vertices": len(part.mesh.vertices), "faces": len(part.mesh.faces)}
@@ -92,10 +130,25 @@ def _scene(path: pathlib.Path) -> dict:
         "meshes": meshes,
         "vertices": sum(mesh["vertices"] for mesh in meshes.values()),
         "materials": {name: _kind(as_material(surface)) for name, surface in scene.materials.items()},
-        "camera": {"width": camera.width, "height": camera.height, "fov_y": camera.fov_y},
+        "bounds": _describe_bounds(shapes),
+        "file_bounds": of_file,
+        "camera": _describe_camera(camera) | {"width": camera.width, "height": camera.height},
+        "framing_camera": _describe_camera(framed.camera) | {"inside": framed.inside},
+        "lamp": {"position": lamp.tolist(), "intensity": intensity},
         "environment": None if sky is None else {"width": sky.pixels.shape[1], "height": sky.pixels.shape[0]},
         "lights": len(scene.lights.local),
     }
+
+
+def _describe_bounds(shapes: Sequence["Mesh"]) -> dict:
+    from jaxrelight.geometry.mesh import joint_bounds
+
+    low, high = joint_bounds(shapes)
+    return {"low": low.tolist(), "high": high.tolist()}
+
+
+def _describe_camera(camera: "Camera") -> dict:
+    return {"origin": list(camera.origin), "target": list(camera.target), "fov_y": camera.fov_y}
 
 
 def _kind(material: "Material") -> str:

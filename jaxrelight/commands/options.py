@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from jaxrelight.lights.lights import Lights
 
 _SCENE = "A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."
+_UP = "The upward axis of mesh files, where the scene does not say: 'z' for those of CAD programs and of Blender."
+Up = Annotated[Literal["y", "z"], tyro.conf.arg(help=_UP)]
 _MODULES = "A Python module that is imported first, with BRDFs or lights of your own; may be given again."
 ScenePath = Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(help=_SCENE)]
 Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE", help="The picture: .exr, .hdr or .png.")]

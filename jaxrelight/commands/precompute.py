@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from jaxrelight.commands.dials import method_of
-from jaxrelight.commands.options import Json, Modules, ScenePath, import_modules
+from jaxrelight.commands.options import Json, Modules, ScenePath, Up, import_modules
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.timing import timed
 
@@ -26,6 +26,7 @@ class Precompute:
     lighting: Literal["auto", "transport", "indirect"] = "auto"
     """'transport' is for an environment, and local lights add direct light; 'indirect' is for lights anywhere, whose
     light surfaces pass on. 'auto' is indirect for a scene with local lights alone, and transport otherwise."""
+    up: Up = "y"
     zero_nonfinite: bool = False
     """Set NaN and infinite pixels of the environment to 0 instead of refusing it."""
     modules: Modules = ()
@@ -42,7 +43,7 @@ class Precompute:
                 import_modules(self.modules)
             method = method_of(self)
             with timed(seconds, "load"):
-                scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite)
+                scene = open_scene(self.scene, zero_nonfinite=self.zero_nonfinite, up=self.up)
             notes(scene.notes)
             with progress(self.json) as report:
                 summary |= describe(prepared(scene, method, self.output, report, summary, seconds))

@@ -15,6 +15,7 @@ from jaxrelight.commands.options import (
     Output,
     PictureOptions,
     ScenePath,
+    Up,
     ViewOptions,
     import_modules,
 )
@@ -44,6 +45,7 @@ class Render:
     store: pathlib.Path | None = None
     """The store's folder; by default one in the user's cache folder. Prefiltered lighting reads from one of transport
     what hides the environment, instead of casting rays for it."""
+    up: Up = "y"
     layers: bool = False
     """Write direct light, indirect light by its last reflection and each light as layers of the .exr."""
     maps: pathlib.Path | None = None
@@ -64,7 +66,7 @@ class Render:
             method = method_of(self, exposure=self.picture.exposure)
             check_output(self.output, self.layers, self.error_samples, self.picture.tone)
             with timed(seconds, "load"):
-                scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite)
+                scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite, up=self.up)
                 scene = dataclasses.replace(scene, camera=self.view.camera(scene.camera))
                 lights = self.light.lights(scene.lights, scene.emits)
             if self.maps is not None:

@@ -6,7 +6,8 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 _SHARES = {
     "kept_energy",
@@ -31,8 +32,8 @@ def summary_of(command: str, as_json: bool) -> Iterator[tuple[dict, dict[str, fl
     summarize({**entries, "seconds": seconds}, as_json)
 
 
-def summarize(summary: dict, as_json: bool) -> None:
-    """Prints a summary: one JSON object, or a line for each entry."""
+def summarize(summary: dict, as_json: bool, meanings: Mapping[str, str] = MappingProxyType({})) -> None:
+    """Prints a summary: one JSON object, or a line for each entry, followed by what it means where that is given."""
     if as_json:
         print(json.dumps(summary), flush=True)
         return
@@ -41,6 +42,7 @@ def summarize(summary: dict, as_json: bool) -> None:
     for name, value in summary.items():
         if name not in ("command", "kind"):
             line = f"{name.replace('_', ' '):>16}  {_words(name, value)}"
+            line += f"  ({meanings[name]})" if name in meanings else ""
             wrapped = textwrap.wrap(line, width, subsequent_indent=" " * 18, break_on_hyphens=False)
             print("\n".join(wrapped), flush=True)
 

@@ -30,15 +30,23 @@ from jaxrelight.lights.lights import Lights
 from jaxrelight.lights.local import Light
 from jaxrelight.scene.lights import read_light
 from jaxrelight.scene.materials import from_file, made_light, read_texture, weighted
+from jaxrelight.scene.mesh_placement import UpAxis, placed
 from jaxrelight.scene.scene import Part, Scene
 
 # Keys that say how a material becomes factors, and the types of materials that are not mixtures.
 _FACTORING = "terms", "terms_error", "form", "parametrisation"
+# In 'materials', the key of all parts of a file that are not named.
+_OTHERS = "*"
 _TYPES = "lambert, phong, lafortune, ashikhmin_shirley, measured, fitted, sbrdf"
 
 
-def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Scene:
+def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False, up: UpAxis = "y") -> Scene:
     """Reads a scene file; paths in it are relative to it.
+
+    Args:
+        path: the file.
+        zero_nonfinite: set NaN and infinite pixels of the environment to 0 instead of refusing it.
+        up: the upward axis of mesh files, "y" or "z", where a [[mesh]] does not say.
 
     Raises:
         InputError: for anything unknown, missing, of the wrong shape or not finite, by name.
@@ -70,7 +78,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False) -> Sce
         if (albedo := made_light(surface)) > 1.01:
             assumptions.append(f"[material.{name}]: reflects {albedo:.3g} times the light it gets; lower its colours")
     for table in root.tables("mesh"):
-        mesh_parts, mesh_materials, notes = _parts(table, path.parent, materials)
+        mesh_parts, mesh_materials, notes = _parts(table, path.parent, materials, up)
         parts += mesh_parts
         materials |= mesh_materials
         assumptions += notes
@@ -122,7 +130,7 @@ def _environment(table: Table, folder: pathlib.Path, zero_nonfinite: bool) -> En
 
 
 def _parts(
-    table: Table, folder: pathlib.Path, materials: Mapping[str, Brdf | Material]
+    table: Table, folder: pathlib.Path, materials: Mapping[str, Brdf | Material], up: UpAxis
 ) -> tuple[list[Part], dict[str, Brdf | Material], list[str]]:
     """The parts of one [[mesh]], the materials that its file brings, and what was assumed of them."""
     if table.has("file") == table.has("primitive"):
@@ -153,15 +161,19 @@ def _parts(
             read = [meshes.MeshPart(meshes.load_mesh(folder / name, crease_angle), short, None)]
         else:
             read = meshes.load_parts(folder / name, crease_angle)
-        read = _placed(table, read)
+        read = _finished(table, placed(table, read, up))
     except InputError as error:
         raise table.within(error) from None
     if one_material:
         parts = [Part(part.mesh, known(table, "material"), short) for part in read]
         table.finish()
         return parts, {}, []
-    overridden = {part.name: known(chosen, part.name) for part in read if chosen and chosen.has(part.name)}
+    overridden = {}
     if chosen:
+        default = known(chosen, _OTHERS) if chosen.has(_OTHERS) else None
+        for part in read:
+            name = known(chosen, part.name) if chosen.has(part.name) else default
+            overridden |= {part.name: name} if name else {}
         chosen.finish()
     table.finish()
     # Files of one name in several folders keep their materials apart.
@@ -188,8 +200,8 @@ def file_parts(
     return parts, materials, notes
 
 
-def _placed(table: Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
-    """All parts of a file normalized and transformed together; subdivided, two-sided and with tangents as asked."""
+def _finished(table: Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshPart]:
+    """Parts that are placed, subdivided, two-sided and with tangents as asked."""
     two_sided = table.truth("two_sided") if table.has("two_sided") else None
     tangents = table.text("tangents", "normal")
     if tangents not in ("normal", "uv"):
@@ -197,23 +209,18 @@ def _placed(table: Table, parts: Sequence[meshes.MeshPart]) -> list[meshes.MeshP
     normals = table.text("shading_normals", "corrected")
     if normals not in ("corrected", "pure"):
         raise InputError(f'\'shading_normals\' is "corrected" or "pure", not {normals!r}')
-    size = table.number("normalize") if table.has("normalize") else None
-    matrix = table.array("transform", (4, 4)) if table.has("transform") else None
     max_edge = table.number("max_edge") if table.has("max_edge") else None
-    frame = meshes.joint_bounds([part.mesh for part in parts])
-    placed = []
+    finished = []
     for part in parts:
         mesh = part.mesh
         if tangents == "uv" and mesh.uv is None:
             raise InputError(f"'tangents' = \"uv\" needs texture coordinates, which '{part.name}' does not have")
-        mesh = mesh if size is None else meshes.normalized(mesh, size, frame)
-        mesh = mesh if matrix is None else meshes.transformed(mesh, matrix)
         mesh = mesh if max_edge is None else subdivided(mesh, max_edge)
         mesh = dataclasses.replace(mesh, uv_tangents=tangents == "uv", pure_normals=normals == "pure")
         if two_sided is not None:
             mesh = meshes.with_back(mesh) if two_sided else dataclasses.replace(mesh, two_sided=False)
-        placed.append(dataclasses.replace(part, mesh=mesh))
-    return placed
+        finished.append(dataclasses.replace(part, mesh=mesh))
+    return finished
 
 
 def _primitive(table: Table) -> Mesh:

@@ -47,9 +47,11 @@ KEYS = {
     | STORE
     | {"kind", "scene", "rows", "materials.*", "filtered_lobes.*", "bytes.*", "unused_layers"}
     | {"lights", "leaves_out", "largest_error_for_unit_light"},
-    "scene": {"command", "kind", "scene", "vertices", "materials.*", "lights"}
+    "scene": {"command", "kind", "scene", "vertices", "materials.*", "lights", "file_bounds"}
     | _of_group("meshes.*", "vertices", "faces", "material")
-    | _of_group("camera", "width", "height", "fov_y") | _of_group("environment", "width", "height"),
+    | _of_group("bounds", "low", "high") | _of_group("camera", "origin", "target", "width", "height", "fov_y")
+    | _of_group("framing_camera", "origin", "target", "fov_y", "inside") | _of_group("lamp", "position", "intensity")
+    | _of_group("environment", "width", "height"),
     "image": IMAGE | {"not_finite_pixels"},
 }  # fmt: skip
 

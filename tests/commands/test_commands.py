@@ -399,7 +399,15 @@ def test_info_on_a_scene(folder, run):
         "0:plane": {"vertices": 16, "faces": 18, "material": "paper"},
         "1:sphere": {"vertices": 56, "faces": 108, "material": "gloss"},
     }
-    assert summary["camera"] == {"width": 12, "height": 10, "fov_y": 38.0}
+    seen = {"origin": [0, 1, 3], "target": [0, 0.1, 0], "fov_y": 38.0}
+    assert summary["camera"] == {**seen, "width": 12, "height": 10}
+    assert summary["bounds"]["low"][::2] == [-1, -1]
+    assert summary["bounds"]["high"][::2] == [1, 1]
+    assert summary["file_bounds"] is None
+    assert not summary["framing_camera"]["inside"]
+    assert summary["lamp"]["position"][1] > 0.4
+    shown = run("info", "scene.toml")[1]
+    assert "  (smallest and largest x, y and z of all meshes in the scene, in metres)" in shown
     assert summary["environment"] == {"width": 16, "height": 8}
 
 

@@ -66,11 +66,57 @@ def test_faults_are_those_of_the_file(tmp_path):
         open_scene(tmp_path / "a.toml")
 
 
-def test_rooms_seen_from_outside_are_two_sided(tmp_path):
-    faces = FILES["plain.obj"].decode().splitlines()
-    inward = [" ".join(["f", *reversed(line.split()[1:])]) if line.startswith("f") else line for line in faces]
-    scene = scene_of_mesh(written(tmp_path, "room.obj", "\n".join([*inward, ""])))
+def _inward(text: str) -> str:
+    return "\n".join(
+        [" ".join(["f", *reversed(line.split()[1:])]) if line.startswith("f") else line for line in text.splitlines()]
+        + [""]
+    )
+
+
+BOX = """v 0 0 0\nv 8 0 0\nv 8 3 0\nv 0 3 0\nv 0 0 4\nv 8 0 4\nv 8 3 4\nv 0 3 4
+f 1 4 3 2\nf 5 6 7 8\nf 1 5 8 4\nf 2 3 7 6\nf 1 2 6 5\nf 4 8 7 3
+"""
+
+
+def test_rooms_are_seen_from_inside(tmp_path):
+    """A room of 8 × 3 × 4 m, scaled to 1: the eye stands in it and looks along it."""
+    scene = scene_of_mesh(written(tmp_path, "room.obj", _inward(BOX)))
+    eye, target = np.asarray(scene.camera.origin), np.asarray(scene.camera.target)
+    assert (np.abs(eye[[0, 2]]) < [0.5, 0.25]).all()
+    assert 0.3 < eye[1] / 0.375 < 0.6
+    along = (target - eye) / np.linalg.norm(target - eye)
+    assert abs(along[0]) > 0.8
+    assert abs(along[1]) < 1e-6
+    notes = " ".join(scene.notes)
+    assert "seen from inside, as its walls face inwards, under a built-in sky and a lamp near the ceiling" in notes
+    assert "100% of what is seen are backs of faces; taken as two-sided" in notes
+    (lamp,) = scene.lights.local
+    assert eye[1] < np.asarray(lamp.position)[1] < 0.375
     assert scene.parts[0].mesh.two_sided
-    assert any("100% of what is seen are backs of faces; taken as two-sided" in note for note in scene.notes)
-    outward = scene_of_mesh(written(tmp_path, "ball.obj", FILES["plain.obj"]))
-    assert not outward.parts[0].mesh.two_sided
+
+
+def test_closed_bodies_are_seen_from_outside(tmp_path):
+    scene = scene_of_mesh(written(tmp_path, "box.obj", BOX))
+    assert not scene.parts[0].mesh.two_sided
+    assert scene.lights.local == ()
+    assert "seen from the front (+z) by a camera that frames it" in " ".join(scene.notes)
+
+
+def test_bodies_with_a_few_backs_are_two_sided_and_seen_from_outside(tmp_path):
+    """A box without its lid: some of its inside is seen."""
+    scene = scene_of_mesh(written(tmp_path, "open.obj", BOX.replace("f 4 8 7 3\n", "")))
+    assert scene.parts[0].mesh.two_sided
+    assert scene.lights.local == ()
+
+
+def test_the_floor_keeps_clear_of_faces_at_its_height(tmp_path):
+    flat = scene_of_mesh(written(tmp_path, "box.obj", BOX))
+    assert flat.parts[-1].mesh.vertices[:, 1].max() == pytest.approx(-1e-3)
+
+
+def test_meshes_may_have_z_up(tmp_path):
+    path = written(tmp_path, "box.obj", BOX)
+    low, high = joint_bounds([scene_of_mesh(path, up="z").parts[0].mesh])
+    np.testing.assert_allclose(high - low, [1, 0.5, 0.375])
+    low, high = joint_bounds([open_scene(path).parts[0].mesh])
+    np.testing.assert_allclose(high - low, [1, 0.375, 0.5])

@@ -617,9 +617,10 @@ def test_faults_of_what_varies(folder, old: str, new: str, what: str):
 TWO = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nusemtl wood\nf 1/1 2/2 3/1\nusemtl steel\nf 1 3 4\n"
 
 
-def _with_file(folder, lines: str):
+def _with_file(folder, lines: str, **options):
     (folder / "two.obj").write_text(TWO)
-    return load_scene(_write(folder, SMALL.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)))
+    text = SMALL.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)
+    return load_scene(_write(folder, text), **options)
 
 
 def test_a_files_own_materials_and_those_that_override_them(folder):
@@ -643,6 +644,72 @@ def test_a_files_own_materials_and_those_that_override_them(folder):
     np.testing.assert_allclose(_values(scene.materials["two.obj:wood"]), _values(phong(0.5, 0.5, 9)), rtol=1e-6)
     assert "none.png: no such file" in scene.notes[0]
     assert "diffuse and specular add up to 2, scaled down to 1" in scene.notes[1]
+
+
+def test_parts_that_are_not_named_have_a_default(folder):
+    scene = _with_file(folder, 'file = "two.obj"\nmaterials = {"*" = "paper"}')
+    assert [part.material for part in scene.parts] == ["paper", "paper"]
+    text = SMALL + '[material.ink]\ntype = "lambert"\nalbedo = 0.1\n'
+    lines = 'file = "two.obj"\nmaterials = {steel = "ink", "*" = "paper"}'
+    scene = load_scene(_write(folder, text.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)))
+    assert [part.material for part in scene.parts] == ["paper", "ink"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "corner"),
+    [
+        ("", (2, 0, 3)),
+        ("translate = [1, 2, 3]", (3, 2, 6)),
+        ("scale = 2", (4, 0, 6)),
+        ("scale = [2, 1, -1]", (4, 0, -3)),
+        ("rotate = [0, 90, 0]", (3, 0, -2)),
+        ("rotate = [90, 90, 0]", (-0, -3, -2)),
+        ("rotate = [0, 7, 0, 90]", (3, 0, -2)),
+        # First scaled, then turned, then moved.
+        ("scale = [1, 1, 2]\nrotate = [0, 0, 0.5, 90]\ntranslate = [0, 0, 1]", (0, 2, 7)),
+    ],
+)
+def test_meshes_are_scaled_turned_and_moved(folder, lines: str, corner):
+    lines = f'primitive = "plane"\nsize = [4, 6]\nresolution = 1\nmaterial = "paper"\n{lines}'
+    text = SMALL.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)
+    vertices = load_scene(_write(folder, text)).parts[0].mesh.vertices
+    assert np.abs(vertices - corner).max(axis=1).min() < 1e-9
+
+
+def test_files_may_have_z_up(folder):
+    for lines, up in (('up = "z"', "y"), ("", "z")):
+        mesh = _with_file(folder, f'file = "two.obj"\nmaterial = "paper"\n{lines}', up=up).parts[0].mesh
+        np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[0, 0, -1], [1, 0, 0]])
+        np.testing.assert_allclose(mesh.normals, np.zeros_like(mesh.normals) + [0.0, 1, 0], atol=1e-12)
+    mesh = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\nup = "y"', up="z").parts[0].mesh
+    assert mesh.vertices[:, 1].max() == 1
+    # Before it is normalized: it lies on the ground.
+    mesh = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\nup = "z"\nnormalize = 2').parts[0].mesh
+    np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[-1, 0, -1], [1, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("lines", "what"),
+    [
+        ('up = "x"', "'up' is \"y\" or \"z\", not 'x'"),
+        ("scale = [1, 0, 1]", "'scale' is [1, 0, 1], which flattens the mesh"),
+        ("rotate = [1, 2]", "'rotate' must be 3 numbers or 4 numbers"),
+        ("rotate = [0, 0, 0, 90]", "'rotate' has an axis of length 0"),
+        ("translate = 1", "'translate' must be 3 numbers"),
+        (
+            "rotate = [1, 2, 3]\ntransform = [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]",
+            "give either 'transform' or 'rotate'; both would move the mesh",
+        ),
+    ],
+)
+def test_faults_of_places_are_named(folder, lines: str, what: str):
+    with pytest.raises(InputError, match=re.escape(what)):
+        _with_file(folder, f'file = "two.obj"\nmaterial = "paper"\n{lines}')
+
+
+def test_primitives_have_no_other_axis(folder):
+    with pytest.raises(InputError, match="'up' is not known"):
+        load_scene(_write(folder, SMALL.replace("resolution = 2", 'resolution = 2\nup = "z"')))
 
 
 def test_a_scene_needs_no_materials_of_its_own(folder):
