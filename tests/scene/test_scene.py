@@ -680,7 +680,7 @@ def test_files_may_have_z_up(folder):
     for lines, up in (('up = "z"', "y"), ("", "z")):
         mesh = _with_file(folder, f'file = "two.obj"\nmaterial = "paper"\n{lines}', up=up).parts[0].mesh
         np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[0, 0, -1], [1, 0, 0]])
-        np.testing.assert_allclose(mesh.normals, np.zeros_like(mesh.normals) + [0.0, 1, 0], atol=1e-12)
+        np.testing.assert_allclose(mesh.normals, np.broadcast_to([0.0, 1, 0], mesh.normals.shape), atol=1e-12)
     mesh = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\nup = "y"', up="z").parts[0].mesh
     assert mesh.vertices[:, 1].max() == 1
     # Before it is normalized: it lies on the ground.
