@@ -198,12 +198,14 @@ def _scaled_normals(bumps: Texture | None, scale: float) -> Texture | None:
     """A normal map whose x and y are multiplied before normals are of unit length."""
     if bumps is None or scale == 1:
         return bumps
-    factors = as_array([scale, scale, 1.0], jnp.float32)
-    return dataclasses.replace(bumps, pixels=(bumps.pixels - 0.5) * factors + 0.5, coarser=None).minified()
+    pixels = (np.asarray(bumps.pixels) - 0.5) * np.array([scale, scale, 1.0], np.float32) + 0.5
+    return dataclasses.replace(bumps, pixels=as_array(pixels), coarser=None).minified()
 
 
 def _tinted(image: Texture | None, colour: np.ndarray) -> Texture:
     """An image times a colour; the colour alone without one."""
     if image is None:
         return constant(colour, jnp.float32)
-    return dataclasses.replace(image, pixels=image.pixels * as_array(colour, jnp.float32), coarser=None).minified()
+    # By NumPy, which compiles nothing for the image's size.
+    pixels = np.asarray(image.pixels) * np.asarray(colour, np.float32)
+    return dataclasses.replace(image, pixels=as_array(pixels), coarser=None).minified()

@@ -24,6 +24,7 @@ PROGRAMS = (
     "mesh_size",
     "large_scenes",
     "large_skies",
+    "terminator",
     "second_render",
     "starts",
     "quantised_rows",
