@@ -87,7 +87,7 @@ def read_obj(data: bytes, folder: pathlib.Path) -> RawMesh:
     lost["index out of range"] += int((~kept).sum())
     raw.lost = {reason: n for reason, n in lost.items() if n}
     last = text[text.rfind("\n") + 1 :].split()
-    if last and last[0] in (*_WIDTHS, "f"):
+    if last and not last[0].startswith("#"):
         raw.notes.append("the last line has no end: the file may be cut short")
     looks, notes = _libraries(libraries, folder)
     raw.material_notes += notes

@@ -93,7 +93,8 @@ def open_image(path: str | os.PathLike, max_pixels: int = 2**27, *, stored: bool
             head = file.read(64)
             if kind_of(head) == "OpenEXR" or (kind_of(head) is None and kind_of_suffix(path.suffix) == "OpenEXR"):
                 return _from_exr(path, str(path), path.suffix, max_pixels, wanted)
-            data = head + file.read(_MAX_BYTES_PER_PIXEL * max_pixels + _MAX_HEADER)
+            # As much as asked for is set aside before it is read.
+            data = head + file.read(min(path.stat().st_size, _MAX_BYTES_PER_PIXEL * max_pixels + _MAX_HEADER))
     except OSError as fault:
         raise InputError(f"{path}: cannot be read, {fault.strerror or fault}; check the path and its rights") from fault
     except MemoryError as fault:

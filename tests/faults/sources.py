@@ -36,8 +36,13 @@ class Format:
 def formats() -> dict[str, Format]:
     """Every format, by its extension."""
     return {".exr": _exr(), ".hdr": _hdr(), ".png": _pillow("PNG"), ".jpg": _pillow("JPEG")} | {
+        ".tga": _pillow("TGA"),
+        ".webp": _pillow("WEBP"),
         ".ply": _ply(),
-        ".obj": Format({"plain": obj(_MESH).encode(), "normals": obj(_MESH, normals=True).encode()}, by_lines=True),
+        ".obj": Format(
+            {"plain": obj(_MESH).encode(), "normals": obj(_MESH, normals=True).encode(), "dialect": _obj_dialect()},
+            by_lines=True,
+        ),
         ".stl": _stl(),
         ".glb": _glb(),
         ".bsdf": _bsdf(),
@@ -131,6 +136,8 @@ def _pillow(kind: str) -> Format:
     stream = io.BytesIO()
     Image.fromarray(tone_map(_picture())).save(stream, kind)
     data = stream.getvalue()
+    if kind in ("TGA", "WEBP"):
+        return Format({"rgb": data})
     if kind == "JPEG":
         at = data.index(b"\xff\xc0") + 5
         return Format({"rgb": data}, {"65000x65000": data[:at] + struct.pack(">2H", 65000, 65000) + data[at + 4 :]})
@@ -150,6 +157,8 @@ def _ply() -> Format:
         "big": ply(vertices, faces, "binary_big_endian"),
         "mixed": ply(vertices, mixed, "binary_little_endian"),
         "mixed ascii": ply(vertices, mixed),
+        "corners": _ply_of_corners(),
+        "strips": _ply_of_strips(),
     }
     counts = {
         b"element vertex 26": ("27", "4000000000", "99999999999999999999"),
@@ -168,6 +177,38 @@ def _ply() -> Format:
         body = data.index(b"end_header\n") + 11 + 12 * len(vertices)
         lies[f"{name}, a polygon of 2^32 corners"] = data[:body] + struct.pack(f"{order}I", 2**32 - 1) + data[body:]
     return Format(files, lies)
+
+
+def _ply_of_corners() -> bytes:
+    """Colours of vertices, and texture coordinates of the corners of faces."""
+    header = (
+        f"ply\nformat binary_little_endian 1.0\ncomment TextureFile a.png\nelement vertex {len(_MESH.vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\n"
+        f"property uchar blue\nelement face {len(_MESH.faces)}\nproperty list uchar int vertex_indices\n"
+        "property list uchar float texcoord\nend_header\n"
+    )
+    body = b"".join(struct.pack("<3f3B", *row, 9, 90, 200) for row in _MESH.vertices)
+    uv = np.linspace(0, 1, 6).tolist()
+    return header.encode() + body + b"".join(struct.pack("<B3iB6f", 3, *face, 6, *uv) for face in _MESH.faces)
+
+
+def _ply_of_strips() -> bytes:
+    """Every triangle a strip of its own."""
+    strip = [corner for face in _MESH.faces for corner in (*face, -1)]
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(_MESH.vertices)}\nproperty float x\n"
+        "property float y\nproperty float z\nelement tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+    )
+    body = b"".join(struct.pack("<3f", *row) for row in _MESH.vertices)
+    return header.encode() + body + struct.pack(f"<{1 + len(strip)}i", len(strip), *strip)
+
+
+def _obj_dialect() -> bytes:
+    """Smoothing groups, colours, names with spaces, and a polygon with a notch."""
+    lines = ["mtllib some file.mtl", "o it", "v -1 -1 0 1 .5 0", "v 0 0 0 1 .5 0", "v 1 -1 0 1 .5 0", "v 0 1 0 1 .5 0"]
+    lines += ["v 0 0 1 0 0 1", "vt 0 0", "vt 1 0", "vt 1 1", "usemtl Grey #1", "s 1", "f 1/1 2/2 3/3 4/1 # notched"]
+    lines += ["s off", "usemtl Grey #2", "f 1/1 2/2 5/3", "f -5/1 -1/2 -3/3 \\", " -2/1", ""]
+    return "\n".join(lines).encode()
 
 
 def _stl() -> Format:

@@ -18,10 +18,11 @@ from jaxrelight.brdf.files.content import Content
 from jaxrelight.brdf.files.cornell import read_pairs
 from jaxrelight.brdf.files.load import load_brdf
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.mesh import load_mesh
+from jaxrelight.geometry.mesh import load_file
 from jaxrelight.images import read_image
+from jaxrelight.scene.materials import from_file
 
-IMAGES = (".exr", ".hdr", ".png", ".jpg")
+IMAGES = (".exr", ".hdr", ".png", ".jpg", ".tga", ".webp")
 
 
 def loaded(path: Path) -> dict:
@@ -36,8 +37,12 @@ def loaded(path: Path) -> dict:
     if path.suffix == ".brdf":  # without the interpolation, which would take a second for each
         pairs = read_pairs(Content(path))
         return _told_brdf([pairs.omega_i, pairs.omega_o, pairs.values], pairs.notes)
-    mesh = load_mesh(path)
-    return _told([mesh.vertices, mesh.faces, mesh.normals], mesh.notes, _mesh_fault(mesh))
+    file = load_file(path)
+    mesh, notes = file.mesh, list(file.mesh.notes)
+    for part in file.parts:
+        _, lines = from_file(part.material, part.uv_sets, coloured=part.mesh.colours is not None)
+        notes += lines
+    return _told([mesh.vertices, mesh.faces, mesh.normals], notes, _mesh_fault(mesh))
 
 
 def _told(arrays, notes, wrong: str) -> dict:
