@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from fitting.checks import check_lights
 from fitting.stack import Stack
 
 # The darkest images of a pixel may lie in shadow and the brightest in a highlight: these shares are left out.
@@ -17,17 +18,25 @@ def estimated_normals(stack: Stack) -> Float[np.ndarray, "h w 3"]:
 
     Least squares over the images that are usable and neither among a pixel's darkest nor its brightest. Values below a
     fit's own terminator count as shadow in the next sweep.
+
+    Raises:
+        InputError: all lights lie in one plane with the surface, or there are fewer than three.
     """
+    check_lights(stack)
     grey = stack.images[:, stack.mask].mean(axis=-1)
     usable = stack.usable[:, stack.mask]
     normals = np.broadcast_to([0.0, 0.0, 1.0], (*stack.mask.shape, 3)).copy()
-    normals[stack.mask] = np.asarray(_stereo(jnp.asarray(grey.T), jnp.asarray(usable.T), jnp.asarray(stack.lights)))
+    lights = stack.towards_lights(stack.mask)
+    normals[stack.mask] = np.asarray(_stereo(jnp.asarray(grey.T), jnp.asarray(usable.T), jnp.asarray(lights)))
     return normals
 
 
 @jax.jit
-def _stereo(grey: Float[Array, "p n"], usable, lights: Float[Array, "n 3"]) -> Float[Array, "p 3"]:
+def _stereo(grey: Float[Array, "p n"], usable, lights: Float[Array, "*p n 3"]) -> Float[Array, "p 3"]:
+    """Of far lights, or of directions that every texel has for itself."""
     lights = lights.astype(grey.dtype)
+    products = "pn,pna,pnb->pab" if lights.ndim == 3 else "pn,na,nb->pab"
+    sums, shading = ("pn,pna->pa", "pa,pna->pn") if lights.ndim == 3 else ("pn,na->pa", "pa,na->pn")
     count = jnp.maximum(usable.sum(axis=1, keepdims=True), 1)
     # Ranks among the usable ones, from the darkest.
     order = jnp.argsort(jnp.where(usable, grey, jnp.inf), axis=1)
@@ -37,10 +46,10 @@ def _stereo(grey: Float[Array, "p n"], usable, lights: Float[Array, "n 3"]) -> F
     kept = jnp.where(few, usable & (rank >= jnp.maximum(count - 3, 0)), kept)
 
     def sweep(scaled, _):
-        lit = kept & (scaled @ lights.T > 0)
+        lit = kept & (jnp.einsum(shading, scaled, lights) > 0)
         lit = jnp.where(lit.sum(axis=1, keepdims=True) >= 3, lit, kept)
-        gram = jnp.einsum("pn,na,nb->pab", lit.astype(grey.dtype), lights, lights)
-        moment = jnp.einsum("pn,na->pa", jnp.where(lit, grey, 0), lights)
+        gram = jnp.einsum(products, lit.astype(grey.dtype), lights, lights)
+        moment = jnp.einsum(sums, jnp.where(lit, grey, 0), lights)
         ridge = 1e-5 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + jnp.finfo(grey.dtype).tiny
         return jnp.linalg.solve(gram + ridge * jnp.eye(3, dtype=grey.dtype)[None], moment[..., None])[..., 0], None
 

@@ -21,21 +21,22 @@ def predicted(level: SbrdfLevel, stack: Stack) -> Float[np.ndarray, "n h w 3"]:
     alone = jax.tree.map(lambda a: a[:, None, None], lobes)
     normals = as_array(level.normals[mask], jnp.float32)
     images = np.zeros((*stack.usable.shape, 3), np.float32)
-    for number, directions in enumerate(zip(stack.lights, stack.views, strict=True)):
-        light, view = (as_array(direction, jnp.float32) for direction in directions)
-        images[number, mask] = np.asarray(_radiance(alone, normals, light, view))
+    lights = np.broadcast_to(stack.towards_lights(mask), (len(normals), *stack.lights.shape))
+    for number, view in enumerate(stack.views):
+        light = as_array(lights[:, number], jnp.float32)
+        images[number, mask] = np.asarray(_radiance(alone, normals, light, as_array(view, jnp.float32)))
     return images
 
 
 @jax.jit
 def _radiance(alone: SpatialLobes, normals, light, view):
-    def one(texel, normal):
+    def one(texel, normal, light):
         frame = tangent_frame(normal)
         omega_i, omega_o = frame @ light, frame @ view
         value = texel.at(jnp.full(2, 0.5)).evaluate(omega_i, omega_o) * omega_i[2]
         return jnp.where((omega_i[2] > 0) & (omega_o[2] > 0), value, 0)
 
-    return jax.vmap(one)(alone, normals)
+    return jax.vmap(one)(alone, normals, light)
 
 
 def relative_error(images: np.ndarray, stack: Stack) -> float:
@@ -49,7 +50,7 @@ def lambert_only(stack: Stack, normals: Float[np.ndarray, "h w 3"]) -> SbrdfLeve
     """Albedos of least squared error, what any lobe must do better than."""
     mask = stack.mask
     values = stack.images[:, mask].swapaxes(0, 1), stack.usable[:, mask].T
-    directions = (as_array(a, jnp.float32) for a in (normals[mask], stack.lights, stack.views))
+    directions = (as_array(a, jnp.float32) for a in (normals[mask], stack.towards_lights(mask), stack.views))
     _, _, f, weight = prepared(*values, *directions)
     total = jnp.sum(weight, axis=1, keepdims=True)
     albedo = np.zeros((*mask.shape, 3), np.float32)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from fitting.checks import check_fit, check_stack
 from fitting.normals import estimated_normals
 from fitting.residuals import columns, factors
 from fitting.samples import prepare
@@ -87,7 +88,12 @@ def fit_sbrdf(
             whatever comes of it.
         folder: where finished chunks are kept, so that a run that was stopped goes on; nothing is kept without one.
         report: called after every chunk.
+
+    Raises:
+        InputError: for stacks that cannot be what they are meant to be: black or saturated images, axes that are
+            negated or exchanged, lights that leave normals open, or hardly any texel with enough samples.
     """
+    check_stack(stack)
     estimated = stack.normals is None
     normals = estimated_normals(stack) if estimated else np.asarray(stack.normals)
     place = np.flatnonzero(stack.mask)
@@ -97,7 +103,9 @@ def fit_sbrdf(
     common = _common(stack, normals, options) if share > 0 else None
     chunks = -(-len(place) // CHUNK)
     width = 7 * options.lobes + 7
-    data = stack.images, stack.usable, stack.lights, stack.views, normals, stack.mask
+    # Near lamps are lights from positions.
+    near = () if stack.positions is None else (stack.positions, np.array(stack.size))
+    data = stack.images, stack.usable, stack.lights, *near, stack.views, normals, stack.mask
     key = store.key_of(*data, dataclasses.astuple(options), share, CHUNK)
     layer = None
     if folder is not None:
@@ -111,13 +119,14 @@ def fit_sbrdf(
             chunk_place = place[number * CHUNK : (number + 1) * CHUNK]
             padded = np.pad(chunk_place, (0, CHUNK - len(chunk_place)), mode="edge")
             values = images[:, padded].swapaxes(0, 1), usable[:, padded].T, flat_normals[padded]
-            parameters[number] = np.asarray(_fit_texels(*values, stack.lights, stack.views, common, share, options))
+            directions = stack.towards_lights(padded), stack.views
+            parameters[number] = np.asarray(_fit_texels(*values, *directions, common, share, options))
             if layer is not None:
                 layer.write(number, texels=parameters[number])
         report(min(len(place), (number + 1) * CHUNK), len(place))
-    return SbrdfFit(
-        as_level(parameters.reshape(-1, width)[: len(place)], stack.mask, normals, options), stack.mask, estimated
-    )
+    level = as_level(parameters.reshape(-1, width)[: len(place)], stack.mask, normals, options)
+    check_fit(level.flag[stack.mask], stack.name)
+    return SbrdfFit(level, stack.mask, estimated)
 
 
 @jax.jit
@@ -125,12 +134,16 @@ def prepared(
     images: Float[Array, "p n c"],
     usable: Bool[Array, "p n"],
     normals: Float[Array, "p 3"],
-    lights: Float[Array, "n 3"],
+    lights: Float[Array, "*#p n 3"],
     views: Float[Array, "n 3"],
 ) -> tuple[Float[Array, "p n 3"], Float[Array, "p n 3"], Float[Array, "p n c"], Float[Array, "p n"]]:
-    """Local directions [p, n, 3], values of f [p, n, 3] and weights [p, n] of some texels."""
+    """Local directions [p, n, 3], values of f [p, n, 3] and weights [p, n] of some texels.
+
+    Lights are far away, or directions that every texel has for itself.
+    """
     frames = jax.vmap(tangent_frame)(normals)
-    omega_i, omega_o = (jnp.einsum("pxy,ny->pnx", frames, side) for side in (lights, views))
+    omega_i = jnp.einsum("pxy,pny->pnx" if lights.ndim == 3 else "pxy,ny->pnx", frames, lights)
+    omega_o = jnp.einsum("pxy,ny->pnx", frames, views)
     cosine = omega_i[..., 2]
     seen = usable & (cosine > MIN_COSINE) & (omega_o[..., 2] > MIN_COSINE)
     grey = jnp.mean(images, axis=-1) / jnp.where(seen, cosine, 1)
@@ -144,7 +157,8 @@ def _common(stack: Stack, normals: Float[np.ndarray, "h w 3"], options: Options)
     """Lobes of many texels together, fitted to what remains when each one's median, its diffuse part, is taken off."""
     place = np.argwhere(stack.mask)
     chosen = tuple(place[np.linspace(0, len(place) - 1, min(_POOL, len(place))).astype(int)].T)
-    directions = (jnp.asarray(a, jnp.float32) for a in (normals[chosen], stack.lights, stack.views))
+    lights = stack.towards_lights(np.asarray(np.ravel_multi_index(chosen, stack.mask.shape)))
+    directions = (jnp.asarray(a, jnp.float32) for a in (normals[chosen], lights, stack.views))
     values = stack.images[:, *chosen].swapaxes(0, 1), stack.usable[:, *chosen].T
     omega_i, omega_o, f, weight = prepared(*values, *directions)
     over = f - _median(f, weight)[:, None]

@@ -1,27 +1,19 @@
 """Photographs of one surface under many lights: what a spatial BRDF is fitted to.
 
 Directions are in the camera's frame: x to the right, y up, z from the surface to the camera, which is far away unless
-directions to it are given. Lights are far away.
+directions to it are given. Lights are far away, or lamps near a surface that is about a plane: then their positions
+are in the units of the photographed rectangle's size, from its centre, and z is the distance from the plane.
 """
 
 import dataclasses
-import pathlib
-import tomllib
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxrelight.errors import InputError
-from jaxrelight.files.npz import read_npz
-from jaxrelight.images import read_image
-from jaxrelight.images.tone import srgb_encode
 
 _AXIS = np.array([0.0, 0.0, 1.0])
-# What normals are called.
-_NORMALS = "normals", "normal_gt"
-# Bytes of an array of an archive.
-_MAX_ARRAY_BYTES = 2**31
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,13 +21,16 @@ class Stack:
     """Images of one surface, a light each.
 
     Attributes:
-        images: linear radiance, as of a light of irradiance 1 on a surface that faces it.
+        images: linear radiance, as of lights of irradiance 1 on a surface that faces them.
         usable: whether a sample is finite and below saturation.
-        lights: unit directions to the lights.
+        lights: unit directions to the lights; to near lamps, those from the centre of the picture.
         views: unit directions to the camera.
         mask: pixels that show the surface.
         normals: unit normals of those; None where they are not known.
         name: what messages call it.
+        positions: of near lamps; None for lights that are far away.
+        size: width and height of the rectangle that the images show, where lamps are near.
+        notes: one line for everything that was assumed of files.
     """
 
     images: Float[np.ndarray, "n h w 3"]
@@ -45,6 +40,20 @@ class Stack:
     mask: Bool[np.ndarray, "h w"]
     normals: Float[np.ndarray, "h w 3"] | None = None
     name: str = "the stack"
+    positions: Float[np.ndarray, "n 3"] | None = None
+    size: tuple[float, float] | None = None
+    notes: tuple[str, ...] = ()
+
+    def towards_lights(self, chosen: Bool[np.ndarray, "h w"] | np.ndarray) -> np.ndarray:
+        """Unit directions from texels to the lights: [n, 3] where they are far away, else [p, n, 3].
+
+        Args:
+            chosen: a mask, or numbers of texels, row by row.
+        """
+        if self.positions is None or self.size is None:
+            return self.lights
+        apart = _from_texels(self.positions, self.size, self.mask.shape, chosen)
+        return apart / np.linalg.norm(apart, axis=-1, keepdims=True)
 
     def of(self, chosen: slice | Sequence[int] | np.ndarray) -> "Stack":
         """Some of the images."""
@@ -54,50 +63,42 @@ class Stack:
             usable=self.usable[chosen],
             lights=self.lights[chosen],
             views=self.views[chosen],
+            positions=None if self.positions is None else self.positions[chosen],
         )
-
-
-def load_stack(path: str | pathlib.Path) -> Stack:
-    """Reads a stack of images.
-
-    `.npz`: `images` [n, h, w, 3] of integers (whose largest value is saturated) or radiance; `light_directions`
-    [n, 3]; and, where they are known, `light_intensities` [n, 3], `mask` [h, w], `normals` or `normal_gt` [h, w, 3],
-    `view_directions` [n, 3].
-
-    `.toml`, whose paths are relative to it:
-
-        mask = "mask.png"          # optional: white where the surface is
-        normals = "normals.png"    # optional: (n + 1)/2 in the camera's frame
-        encoding = "srgb"          # optional, of .png and .jpg: "srgb" or "linear"
-        [[image]]
-        file = "01.png"
-        light = [0.2, 0.4, 0.9]
-        intensity = [1, 1, 1]      # optional
-        view = [0, 0, 1]           # optional
-
-    Raises:
-        InputError: for what is missing, of the wrong shape or not finite, by name.
-    """
-    path = pathlib.Path(path)
-    if path.suffix.lower() == ".npz":
-        return _from_npz(path)
-    if path.suffix.lower() == ".toml":
-        return _from_toml(path)
-    raise InputError(f"{path}: a stack of images is a .npz file, or a .toml file that lists images")
 
 
 def stack_of(
     images: Float[np.ndarray, "n h w 3"],
-    lights: Float[np.ndarray, "n 3"],
+    lights: Float[np.ndarray, "n 3"] | None = None,
     *,
+    positions: Float[np.ndarray, "n 3"] | None = None,
+    size: float | Sequence[float] | np.ndarray | None = None,
     saturation: float = np.inf,
+    usable: Bool[np.ndarray, "n h w"] | None = None,
+    ambient: Float[np.ndarray, "h w 3"] | None = None,
     intensities: Float[np.ndarray, "n 3"] | None = None,
     views: Float[np.ndarray, "n 3"] | None = None,
     mask: Bool[np.ndarray, "h w"] | None = None,
     normals: Float[np.ndarray, "h w 3"] | None = None,
     name: str = "the stack",
 ) -> Stack:
-    """A stack from arrays; directions are normalized, and samples at or above `saturation` in a channel are unusable.
+    """A stack from arrays.
+
+    Args:
+        images: linear radiance.
+        lights: directions to lights that are far away, of any length.
+        positions: of lamps that are near, instead; in front of the plane, so z > 0.
+        size: of the rectangle that the images show, in the units of the positions: its width, or width and height.
+            Texels lie in the plane z = 0, around its centre.
+        saturation: samples at or above it in a channel are unusable.
+        usable: which samples may be used besides.
+        ambient: an image without any of the lights, subtracted from all others.
+        intensities: irradiance by channel of a surface that faces the light; that of near lamps in the picture's
+            centre, from where it goes with the distance to the power -2. 1 by default.
+        views: directions to the camera, of any length; (0, 0, 1) by default.
+        mask: above 0 where the surface is.
+        normals: of any length above 0.5; shorter ones, and ones that are not finite, are of no surface.
+        name: what messages call it.
 
     Raises:
         InputError: for shapes that do not belong together, and numbers that are not finite.
@@ -106,14 +107,14 @@ def stack_of(
     if images.ndim != 4 or images.shape[-1] != 3 or not images.size:
         raise InputError(f"{name}: 'images' have shape {images.shape}; they must be n × h × w pixels of three channels")
     n, height, width, _ = images.shape
-    lights = _directions(name, "light directions", lights, (n, 3))
-    views = np.broadcast_to(_AXIS, (n, 3)) if views is None else _directions(name, "view directions", views, (n, 3))
-    intensities = np.ones((n, 3)) if intensities is None else _array(name, "light intensities", intensities, (n, 3))
+    lights, positions, size = _lights(name, lights, positions, size, images.shape)
+    views = np.broadcast_to(_AXIS, (n, 3)) if views is None else directions(name, "view directions", views, (n, 3))
+    intensities = np.ones((n, 3)) if intensities is None else array_of(name, "light intensities", intensities, (n, 3))
     if not (intensities > 0).all():
         raise InputError(f"{name}: light intensities must be positive")
-    shown = (
-        np.ones((height, width), bool) if mask is None else np.greater(_array(name, "mask", mask, images.shape[1:3]), 0)
-    )
+    shown = np.ones((height, width), bool)
+    if mask is not None:
+        shown = array_of(name, "mask", mask, (height, width)) > 0
     if normals is not None:
         normals = np.asarray(normals, float)
         if normals.shape != (height, width, 3):
@@ -123,12 +124,64 @@ def stack_of(
         normals = np.where(shown[..., None], normals / np.where(shown, length, 1)[..., None], _AXIS)
     if not shown.any():
         raise InputError(f"{name}: no pixel shows the surface; check the mask and the normals")
-    usable = np.all(np.isfinite(images) & (images < saturation), axis=-1)
+    below = np.all(np.isfinite(images) & (images < saturation), axis=-1)
+    usable = np.asarray(below if usable is None else below & usable)
+    if ambient is not None:
+        dark = np.asarray(ambient, np.float32)
+        if dark.shape != images.shape[1:]:
+            raise InputError(f"{name}: 'ambient' has shape {dark.shape}, not {images.shape[1:]}, that of an image")
+        usable = usable & np.isfinite(dark).all(axis=-1)
+        images = np.maximum(images - np.where(np.isfinite(dark), dark, 0), 0)
     scaled = np.where(usable[..., None], images, 0) / intensities[:, None, None].astype(np.float32)
-    return Stack(scaled, usable, lights, views, shown, normals, name)
+    if positions is not None and size is not None:
+        for image, lamp in zip(scaled, positions[:, None], strict=True):
+            square = np.sum(_from_texels(lamp, size, (height, width)) ** 2, axis=-1) / np.sum(lamp**2)
+            image *= square.reshape(height, width, 1).astype(np.float32)
+    return Stack(scaled, usable, lights, views, shown, normals, name, positions, size)
 
 
-def _array(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
+def _lights(
+    name: str, lights, positions, size, shape: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray | None, tuple[float, float] | None]:
+    """Directions, positions and the size of the picture, checked."""
+    n, height, width, _ = shape
+    if (lights is None) == (positions is None):
+        raise InputError(f"{name}: give either directions to lights that are far away or positions of near lamps")
+    if positions is None:
+        if size is not None:
+            raise InputError(f"{name}: 'size' belongs to positions of near lamps; leave it out, or give these")
+        return directions(name, "light directions", lights, (n, 3)), None, None
+    positions = array_of(name, "light positions", positions, (n, 3))
+    if not (positions[:, 2] > 0).all():
+        raise InputError(
+            f"{name}: light positions must lie before the surface, z > 0; z is the distance from its plane"
+        )
+    if size is None:
+        raise InputError(f"{name}: light positions need 'size', the width of what the images show, in the same units")
+    size = np.atleast_1d(np.asarray(size, float))
+    if size.shape not in ((1,), (2,)) or not (np.isfinite(size) & (size > 0)).all():
+        raise InputError(f"{name}: 'size' is a positive width, or width and height, not {size.tolist()}")
+    both = float(size[0]), float(size[1] if len(size) == 2 else size[0] * height / width)
+    return positions / np.linalg.norm(positions, axis=-1, keepdims=True), positions, both
+
+
+def _from_texels(
+    positions: Float[np.ndarray, "n 3"],
+    size: tuple[float, float],
+    shape: tuple[int, int],
+    chosen: Bool[np.ndarray, "h w"] | np.ndarray | slice = slice(None),
+) -> Float[np.ndarray, "p n 3"]:
+    """From texels to lamps."""
+    height, width = shape
+    x = ((np.arange(width) + 0.5) / width - 0.5) * size[0]
+    y = (0.5 - (np.arange(height) + 0.5) / height) * size[1]
+    texels = np.stack([*np.meshgrid(x, y), np.zeros(shape)], axis=-1)
+    is_mask = isinstance(chosen, np.ndarray) and chosen.dtype == bool
+    return positions - (texels[chosen] if is_mask else texels.reshape(-1, 3)[chosen])[:, None]
+
+
+def array_of(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
+    """Finite numbers of a shape; InputError for others, which says what they are."""
     try:
         array = np.asarray(values, float)
     except (TypeError, ValueError):
@@ -140,85 +193,10 @@ def _array(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def _directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
-    array = _array(name, what, values, shape)
+def directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
+    """Unit vectors in the direction of others."""
+    array = array_of(name, what, values, shape)
     length = np.linalg.norm(array, axis=-1, keepdims=True)
     if not (length > 0).all():
         raise InputError(f"{name}: {what} must not be zero")
     return array / length
-
-
-def _from_npz(path: pathlib.Path) -> Stack:
-    required, known = ("images", "light_directions"), ("light_intensities", "view_directions", "mask", *_NORMALS)
-    arrays = read_npz(path, "a stack of images", (*required, *known), _MAX_ARRAY_BYTES)
-    for key in required:
-        if key not in arrays:
-            raise InputError(f"{path}: '{key}' is missing; a stack has {' and '.join(required)}")
-    images = arrays["images"]
-    integers = images.dtype.kind in "ui"
-    top = np.iinfo(images.dtype).max if integers else 1
-    return stack_of(
-        images / np.float32(top),
-        arrays["light_directions"],
-        saturation=1 if integers else np.inf,
-        intensities=arrays.get("light_intensities"),
-        views=arrays.get("view_directions"),
-        mask=arrays.get("mask"),
-        normals=next((arrays[name] for name in _NORMALS if name in arrays), None),
-        name=path.name,
-    )
-
-
-def _from_toml(path: pathlib.Path) -> Stack:
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
-        raise InputError(f"{path}: cannot be read as a list of images: {fault}") from None
-    _known(path, content, {"image", "mask", "normals", "encoding"})
-    encoding = content.get("encoding", "srgb")
-    if encoding not in ("srgb", "linear"):
-        raise InputError(f'{path}: \'encoding\' is "srgb" or "linear", not {encoding!r}')
-    entries = content.get("image")
-    if not isinstance(entries, list) or not entries:
-        raise InputError(f"{path}: lists no [[image]]")
-    images, lights, intensities, views, shown = [], [], [], [], False
-    for number, entry in enumerate(entries, 1):
-        where = f"{path}: [[image]] number {number}"
-        _known(where, entry, {"file", "light", "intensity", "view"})
-        if not isinstance(entry.get("file"), str) or "light" not in entry:
-            raise InputError(f"{where}: needs 'file', the path of an image, and 'light', the direction to its light")
-        pixels = _pixels(path.parent / entry["file"], encoding)
-        if images and pixels.shape != images[0].shape:
-            raise InputError(f"{where}: is of {pixels.shape[:2]} pixels, the ones before it of {images[0].shape[:2]}")
-        images.append(pixels)
-        shown = shown or pathlib.Path(entry["file"]).suffix.lower() in (".png", ".jpg", ".jpeg")
-        lights.append(_array(where, "'light'", entry["light"], (3,)))
-        intensities.append(_array(where, "'intensity'", entry.get("intensity", [1.0] * 3), (3,)))
-        views.append(_array(where, "'view'", entry.get("view", _AXIS), (3,)))
-    normals = _pixels(path.parent / content["normals"], "linear") * 2 - 1 if "normals" in content else None
-    mask = _pixels(path.parent / content["mask"], "linear").max(axis=-1) > 0.5 if "mask" in content else None
-    return stack_of(
-        np.stack(images),
-        np.stack(lights),
-        saturation=1 if shown else np.inf,
-        intensities=np.stack(intensities),
-        views=np.stack(views),
-        mask=mask,
-        normals=normals,
-        name=path.name,
-    )
-
-
-def _known(where, content, known: set[str]):
-    if not isinstance(content, dict):
-        raise InputError(f"{where}: must be a table")
-    for key in content:
-        if key not in known:
-            raise InputError(f"{where}: '{key}' is not known; known are {', '.join(sorted(known))}")
-
-
-def _pixels(path: pathlib.Path, encoding: str) -> np.ndarray:
-    pixels = read_image(path)[..., :3]
-    if encoding == "linear" and path.suffix.lower() in (".png", ".jpg", ".jpeg"):
-        pixels = srgb_encode(pixels)  # the numbers that stand in the file
-    return pixels

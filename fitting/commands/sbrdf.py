@@ -54,13 +54,13 @@ class Sbrdf:
         from fitting.sbrdf import fit_sbrdf
         from fitting.sbrdf_levels import coarser
         from fitting.solve import Options
-        from fitting.stack import load_stack
+        from fitting.stack_files import load_stack
         from jaxrelight.brdf.files.sbrdf import write_sbrdf
         from jaxrelight.command_line import versions
         from jaxrelight.commands.summary import summarize
         from jaxrelight.errors import InputError
         from jaxrelight.files.whole_file import check_place
-        from jaxrelight.progress import progress
+        from jaxrelight.progress import notes, progress
 
         check_place(self.output, [".exr"], "maps")
         if self.hold_out < 0 or self.hold_out == 1:
@@ -70,6 +70,7 @@ class Sbrdf:
         options = Options(lobes=self.lobes, anisotropic=self.anisotropic)
         with timed(seconds, "load"):
             stack = load_stack(self.stack)
+        notes(list(stack.notes))
         held = np.zeros(len(stack.images), bool)
         if self.hold_out:
             held[self.hold_out - 1 :: self.hold_out] = True

@@ -34,7 +34,7 @@ def measure(name: str, every: int, quick: bool) -> list[list]:
     from fitting import Options
     from fitting.prediction import lambert_only, predicted, relative_error
     from fitting.sbrdf import fit_sbrdf
-    from fitting.stack import load_stack
+    from fitting.stack_files import load_stack
 
     stack = load_stack(shared("data", "photometric", f"{name}.npz"))
     if quick:

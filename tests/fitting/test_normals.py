@@ -4,9 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fitting.normals import estimated_normals
-from fitting.stack import load_stack, stack_of
+from fitting.stack import stack_of
+from fitting.stack_files import load_stack
+from jaxrelight.images import srgb_encode
+from tests.images import png_writer
 from tests.shared_data import shared
 
 
@@ -66,3 +70,24 @@ def test_a_real_ball_of_known_normals():
     some[shown[np.linspace(0, len(shown) - 1, _ball()[1].sum()).astype(int)]] = True
     stack = dataclasses.replace(stack, mask=some.reshape(stack.mask.shape))
     assert np.mean(_apart(estimated_normals(stack), stack.normals)[stack.mask]) == pytest.approx(1.8, abs=0.4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["linear", "srgb"])
+def test_a_real_ball_from_pictures_of_sixteen_bits(tmp_path, encoding):
+    """The mean error of normals is that from the archive to 0.01 degrees."""
+    path = shared("data", "photometric", "diligent_ball.npz")
+    kept, arrays = load_stack(path), np.load(path)
+    levels = arrays["images"] / 65535
+    levels = np.rint(65535 * (srgb_encode(levels) if encoding == "srgb" else levels)).astype(np.uint16)
+    text = f'encoding = "{encoding}"\nmask = "mask.png"\n'
+    Image.fromarray(arrays["mask"].astype(np.uint8) * 255).save(tmp_path / "mask.png")
+    lights = zip(levels, arrays["light_directions"], arrays["light_intensities"], strict=True)
+    for number, (image, light, intensity) in enumerate(lights):
+        (tmp_path / f"{number}.png").write_bytes(png_writer.picture(image, filters=(number % 3,)))
+        text += f'[[image]]\nfile = "{number}.png"\nlight = {light.tolist()}\nintensity = {intensity.tolist()}\n'
+    (tmp_path / "ball.toml").write_text(text)
+    listed = load_stack(tmp_path / "ball.toml")
+    both = kept.mask & listed.mask
+    errors = [np.mean(_apart(estimated_normals(stack), kept.normals)[both]) for stack in (kept, listed)]
+    assert errors[1] == pytest.approx(errors[0], abs=0.01)

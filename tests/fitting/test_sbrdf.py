@@ -12,7 +12,8 @@ from fitting.prediction import lambert_only, predicted, relative_error
 from fitting.sbrdf import fit_sbrdf, reached
 from fitting.sbrdf_levels import coarser
 from fitting.solve import Options, Verdict
-from fitting.stack import Stack, load_stack, stack_of
+from fitting.stack import Stack, stack_of
+from fitting.stack_files import load_stack
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
