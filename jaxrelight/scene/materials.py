@@ -1,9 +1,6 @@
 """Materials whose colours are images: from scene files, and from what mesh files say."""
 
 import dataclasses
-import io
-import pathlib
-import tempfile
 from collections.abc import Collection
 
 import jax.numpy as jnp
@@ -32,48 +29,15 @@ def read_texture(picture: PictureSource, *, data: bool = False) -> Texture:
 
 def _read_pixels(picture: PictureSource, *, data: bool = False) -> np.ndarray:
     """Pixels as `read_texture` has them, with alpha where there is any."""
-    from jaxrelight.images import read_image
-    from jaxrelight.images.tone import srgb_encode
+    from jaxrelight.images import decode_image, open_image
 
     if isinstance(picture, bytes):
-        with tempfile.TemporaryDirectory() as folder:
-            path = pathlib.Path(folder) / f"embedded{_suffix_of(picture)}"
-            path.write_bytes(_without_webp(picture))
-            try:
-                return _read_pixels(path, data=data)
-            except InputError as error:
-                raise InputError(f"{error}".replace(f"{path}", "an embedded image")) from None
-    if picture.suffix.lower() == ".webp" and picture.is_file():
-        return _read_pixels(picture.read_bytes(), data=data)
-    pixels = read_image(picture)
-    if not (np.isfinite(pixels).all() and (pixels >= 0).all()):
-        raise InputError(f"{picture}: a texture needs pixels that are finite and not negative; repair the image")
-    if data and picture.suffix.lower() in (".png", ".jpg", ".jpeg"):
-        pixels = np.concatenate([srgb_encode(pixels[..., :3]), pixels[..., 3:]], axis=-1)
-    return pixels
-
-
-def _is_webp(content: bytes) -> bool:
-    return content[:4] == b"RIFF" and content[8:12] == b"WEBP"
-
-
-def _suffix_of(content: bytes) -> str:
-    """The ending that a file of an image has."""
-    return ".png" if content[:4] == b"\x89PNG" or _is_webp(content) else ".jpg"
-
-
-def _without_webp(content: bytes) -> bytes:
-    """An image as PNG where it is WebP, else as it is."""
-    if not _is_webp(content):
-        return content
-    from PIL import Image
-
-    png = io.BytesIO()
-    try:
-        Image.open(io.BytesIO(content)).convert("RGBA").save(png, "PNG")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as fault:
-        raise InputError(f"an image cannot be decoded as WebP ({fault}); export it as PNG or JPEG") from None
-    return png.getvalue()
+        name, image = "an embedded image", decode_image(picture, "an embedded image", stored=data)
+    else:
+        name, image = str(picture), open_image(picture, stored=data)
+    if not (np.isfinite(image.pixels).all() and (image.pixels >= 0).all()):
+        raise InputError(f"{name}: a texture needs pixels that are finite and not negative; repair the image")
+    return image.pixels
 
 
 def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]:
@@ -198,7 +162,8 @@ def _scaled_normals(bumps: Texture | None, scale: float) -> Texture | None:
     """A normal map whose x and y are multiplied before normals are of unit length."""
     if bumps is None or scale == 1:
         return bumps
-    pixels = (np.asarray(bumps.pixels) - 0.5) * np.array([scale, scale, 1.0], np.float32) + 0.5
+    factors = np.array([scale, scale, 1.0], np.float32)
+    pixels = (np.asarray(bumps.pixels) - np.float32(0.5)) * factors + np.float32(0.5)
     return dataclasses.replace(bumps, pixels=as_array(pixels), coarser=None).minified()
 
 
@@ -206,6 +171,8 @@ def _tinted(image: Texture | None, colour: np.ndarray) -> Texture:
     """An image times a colour; the colour alone without one."""
     if image is None:
         return constant(colour, jnp.float32)
-    # By NumPy, which compiles nothing for the image's size.
+    if np.all(colour == 1):
+        return image
+    # By NumPy: JAX would compile a program for every size of image.
     pixels = np.asarray(image.pixels) * np.asarray(colour, np.float32)
     return dataclasses.replace(image, pixels=as_array(pixels), coarser=None).minified()
