@@ -91,7 +91,7 @@ def _read(content: Content) -> RawMesh:
             else:
                 group += [_moved(place, primitive) for place in places]
     raw = _joined(content, parts)
-    raw.surroundings = surroundings(content, nodes)
+    raw.surroundings = surroundings(content, sorted(nodes, key=lambda node: node.number))
     return raw
 
 

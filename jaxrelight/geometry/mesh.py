@@ -261,14 +261,31 @@ def normalized(mesh: Mesh, size: float, frame: Float[np.ndarray, "2 3"] | None =
     Raises:
         InputError: `size` is not a positive number, or the mesh is a single point.
     """
+    origin, scale = _normalizing(size, bounds(mesh) if frame is None else frame)
+    return dataclasses.replace(mesh, vertices=(mesh.vertices - origin) * scale)
+
+
+def normalizing_matrix(size: float, frame: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "4 4"]:
+    """What `normalized` does to positions.
+
+    Raises:
+        InputError: as `normalized` does.
+    """
+    origin, scale = _normalizing(size, frame)
+    matrix = np.diag([scale, scale, scale, 1.0])
+    matrix[:3, 3] = -scale * origin
+    return matrix
+
+
+def _normalizing(size: float, frame: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "3"], float]:
+    """What is subtracted from positions, and what they are multiplied by then."""
     if not (isinstance(size, int | float) and 0 < size < MAX_COORDINATE):
         raise InputError(f"normalize is {size!r}; give the longest side as a positive number of metres")
-    low, high = bounds(mesh) if frame is None else frame
+    low, high = frame
     longest = (high - low).max()
     if not longest > 0:
         raise InputError("a mesh without extent cannot be normalized; leave `normalize` out")
-    origin = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
-    return dataclasses.replace(mesh, vertices=(mesh.vertices - origin) * (size / longest))
+    return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]), float(size / longest)
 
 
 def transformed(mesh: Mesh, matrix: ArrayLike) -> Mesh:

@@ -24,8 +24,15 @@ def turned_up(parts: Sequence[meshes.MeshPart], up: UpAxis) -> list[meshes.MeshP
     return [dataclasses.replace(part, mesh=meshes.transformed(part.mesh, _Z_TO_Y)) for part in parts]
 
 
-def placed(table: Table, parts: Sequence[meshes.MeshPart], up: UpAxis = "y") -> list[meshes.MeshPart]:
-    """All parts of one [[mesh]] turned upright, normalized, and transformed, together.
+def up_matrix(up: UpAxis) -> Float[np.ndarray, "4 4"]:
+    """What turns a file whose upward axis is +y or +z so that +y is upwards."""
+    return _Z_TO_Y if up == "z" else np.eye(4)
+
+
+def placed(
+    table: Table, parts: Sequence[meshes.MeshPart], up: UpAxis = "y"
+) -> tuple[list[meshes.MeshPart], Float[np.ndarray, "4 4"]]:
+    """All parts of one [[mesh]] turned upright, normalized, and transformed, together, and the matrix of all that.
 
     Args:
         table: of the [[mesh]].
@@ -40,7 +47,8 @@ def placed(table: Table, parts: Sequence[meshes.MeshPart], up: UpAxis = "y") -> 
         if axis not in ("y", "z"):
             raise InputError(f'{table.where}: \'up\' is "y" or "z", not {axis!r}')
         up = "z" if axis == "z" else "y"
-    parts = turned_up(parts, up if table.has("file") else "y")
+    up = up if table.has("file") else "y"
+    parts, whole = turned_up(parts, up), up_matrix(up)
     size = table.number("normalize") if table.has("normalize") else None
     matrix = _matrix(table)
     frame = meshes.joint_bounds([part.mesh for part in parts])
@@ -49,7 +57,8 @@ def placed(table: Table, parts: Sequence[meshes.MeshPart], up: UpAxis = "y") -> 
         mesh = part.mesh if size is None else meshes.normalized(part.mesh, size, frame)
         mesh = mesh if matrix is None else meshes.transformed(mesh, matrix)
         moved.append(dataclasses.replace(part, mesh=mesh))
-    return moved
+    whole = whole if size is None else meshes.normalizing_matrix(size, frame) @ whole
+    return moved, whole if matrix is None else matrix @ whole
 
 
 def _matrix(table: Table) -> Float[np.ndarray, "4 4"] | None:

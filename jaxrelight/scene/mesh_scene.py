@@ -12,9 +12,10 @@ from jaxrelight.geometry.mesh_files import READERS
 from jaxrelight.lights.local import point
 from jaxrelight.scene.demo_scene import evening_sky
 from jaxrelight.scene.framing import framing, lamp_for
-from jaxrelight.scene.mesh_placement import UpAxis, turned_up
+from jaxrelight.scene.mesh_placement import UpAxis, turned_up, up_matrix
 from jaxrelight.scene.scene import Part, Scene
 from jaxrelight.scene.scene_file import file_parts, load_scene
+from jaxrelight.scene.surroundings import file_camera, file_lights
 
 # A few backs are seen through small holes; more are walls that face inwards, or cards.
 _MAX_BACKFACE_SHARE = 0.02
@@ -44,7 +45,8 @@ def scene_of_mesh(path: str | pathlib.Path, *, up: UpAxis = "y") -> Scene:
     """A mesh file on a floor under an evening sky, seen whole; or seen from inside, where its walls face inwards.
 
     It is scaled to a longest side of one metre and stands on y = 0. It has its own materials, or a warm plaster where
-    the file says nothing. All that was assumed stands in the scene's notes.
+    the file says nothing. A camera of the file is taken instead of one that frames it, and lights of the file are added
+    to the sky. All that was assumed stands in the scene's notes.
 
     Args:
         path: of the file.
@@ -54,30 +56,43 @@ def scene_of_mesh(path: str | pathlib.Path, *, up: UpAxis = "y") -> Scene:
         InputError: as `load_mesh` does.
     """
     path = pathlib.Path(path)
-    read = turned_up(meshes.load_parts(path), up)
+    file = meshes.load_file(path)
+    read = turned_up(file.parts, up)
     frame = meshes.joint_bounds([part.mesh for part in read])
     scaled = [dataclasses.replace(part, mesh=meshes.normalized(part.mesh, 1.0, frame)) for part in read]
     plain = {part.name: "plaster" for part in scaled if part.material is None}
     parts, materials, notes = file_parts(path.name, scaled, plain)
     materials |= {"floor": lobes.lambert([0.46, 0.45, 0.43]), "plaster": lobes.lambert([0.70, 0.62, 0.52])}
+    around = file.surroundings.moved(meshes.normalizing_matrix(1.0, frame) @ up_matrix(up))
+    of_file, seen_by = file_camera([(path.name, around)], meshes.joint_bounds([part.mesh for part in scaled]))
     seen = framing([part.mesh for part in parts])
     if seen.backs > _MAX_BACKFACE_SHARE:
         parts = [dataclasses.replace(part, mesh=meshes.with_back(part.mesh)) for part in parts]
         notes.append(f"{path.name}: {seen.backs:.0%} of what is seen are backs of faces; taken as two-sided")
-    floor = Part(_floor([part.mesh for part in scaled]), "floor", "floor")
-    where = "seen from the front (+z) by a camera that frames it, under a built-in sky"
-    if seen.inside:
-        where = "seen from inside, as its walls face inwards, under a built-in sky and a lamp near the ceiling"
+    camera = of_file or seen.camera
+    # A floor would hide everything from an eye below it.
+    floor = np.asarray(camera.origin)[1] > 0
+    if floor:
+        parts.append(Part(_floor([part.mesh for part in scaled]), "floor", "floor"))
+    put = " and put on a floor" if floor else ""
+    lights, lines = file_lights(path.name, around.lights, wanted=True)
+    lit = "under a built-in sky"
+    if seen.inside and not lights:
+        lit += " and a lamp near the ceiling"
+        lights.append(point(*lamp_for(seen, [part.mesh for part in scaled])))
+    where = "" if of_file else "seen from the front (+z) by a camera that frames it, "
+    if seen.inside and not of_file:
+        where = "seen from inside, as its walls face inwards, "
     assumed = [
-        f"{path.name}: scaled to a longest side of 1 m and put on a floor, {where}; --up z, --env, --origin, --target "
-        "and a scene file give others"
+        f"{path.name}: scaled to a longest side of 1 m{put}, {where}{lit}; --up z, --env, --origin, --target "
+        "and a scene file give others",
+        *seen_by,
+        *lines,
     ]
     if plain:
         assumed.append(f"{path.name}: nothing is said about the material of {', '.join(plain)}; plaster is taken")
-    lines, lights = (*assumed, *notes), [evening_sky()]
-    if seen.inside:
-        lights.append(point(*lamp_for(seen, [part.mesh for part in scaled])))
-    return Scene((*parts, floor), materials, seen.camera, lights, path.stem, assumptions=lines)
+    lines = *assumed, *notes
+    return Scene(tuple(parts), materials, camera, [evening_sky(), *lights], path.stem, assumptions=lines)
 
 
 def _floor(standing: list[meshes.Mesh]) -> meshes.Mesh:

@@ -23,6 +23,7 @@ from jaxrelight.files.toml_table import Table, read_toml
 from jaxrelight.geometry import mesh as meshes
 from jaxrelight.geometry import primitives
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.file_lights import Surroundings
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import subdivided
 from jaxrelight.lights.environment import Environment, load_environment
@@ -32,6 +33,7 @@ from jaxrelight.scene.lights import read_light
 from jaxrelight.scene.materials import from_file, made_light, read_texture, weighted
 from jaxrelight.scene.mesh_placement import UpAxis, placed
 from jaxrelight.scene.scene import Part, Scene
+from jaxrelight.scene.surroundings import file_camera, file_lights
 
 # Keys that say how a material becomes factors, and the types of materials that are not mixtures.
 _FACTORING = "terms", "terms_error", "form", "parametrisation"
@@ -53,7 +55,8 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False, up: Up
     """
     path = pathlib.Path(path)
     root = read_toml(path, "a scene")
-    camera = _camera(root.table("camera"))
+    # A mesh file may bring one.
+    camera = None if root.has("mesh") and not root.has("camera") else _camera(root.table("camera"))
     environment = (
         _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
     )
@@ -77,14 +80,24 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False, up: Up
     for name, surface in materials.items():
         if (albedo := made_light(surface)) > 1.01:
             assumptions.append(f"[material.{name}]: reflects {albedo:.3g} times the light it gets; lower its colours")
+    surroundings: list[tuple[str, Surroundings]] = []
     for table in root.tables("mesh"):
-        mesh_parts, mesh_materials, notes = _parts(table, path.parent, materials, up)
+        mesh_parts, mesh_materials, notes, around = _parts(table, path.parent, materials, up)
+        surroundings.append((pathlib.PurePath(table.text("file")).name if table.has("file") else "", around))
         parts += mesh_parts
         materials |= mesh_materials
         assumptions += notes
     root.finish()
     if not parts:
         raise InputError(f"{path}: the scene has no [[mesh]]; add one")
+    for file, around in surroundings:
+        more, notes = file_lights(file, around.lights, wanted=not root.has("light"))
+        lights, assumptions = (*lights, *more), [*assumptions, *notes]
+    frame = meshes.joint_bounds([part.mesh for part in parts])
+    of_file, notes = file_camera(surroundings, frame, wanted=camera is None)
+    camera, assumptions = camera or of_file, [*assumptions, *notes]
+    if camera is None:
+        camera = _camera(root.table("camera"))  # which tells that there is none
     lights = Lights(environment, lights)
     scene = Scene(parts, materials, camera, lights, path.stem, factors, tuple(assumptions), reflections)
     return scene.with_plain_materials()
@@ -131,8 +144,8 @@ def _environment(table: Table, folder: pathlib.Path, zero_nonfinite: bool) -> En
 
 def _parts(
     table: Table, folder: pathlib.Path, materials: Mapping[str, Brdf | Material], up: UpAxis
-) -> tuple[list[Part], dict[str, Brdf | Material], list[str]]:
-    """The parts of one [[mesh]], the materials that its file brings, and what was assumed of them."""
+) -> tuple[list[Part], dict[str, Brdf | Material], list[str], Surroundings]:
+    """The parts of one [[mesh]], the materials that its file brings, what was assumed, and its lights and cameras."""
     if table.has("file") == table.has("primitive"):
         raise InputError(f"{table.where}: give either 'file' or 'primitive'")
     name = table.text("file" if table.has("file") else "primitive")
@@ -154,31 +167,33 @@ def _parts(
             raise InputError(f"{owner.where}: there is no [material.{material}]{hint}")
         return material
 
+    around = Surroundings()
     try:
         if table.has("primitive"):
             read = [meshes.MeshPart(_primitive(table), short, None)]
-        elif one_material:
-            read = [meshes.MeshPart(meshes.load_mesh(folder / name, crease_angle), short, None)]
         else:
-            read = meshes.load_parts(folder / name, crease_angle)
-        read = _finished(table, placed(table, read, up))
+            file = meshes.load_file(folder / name, crease_angle)
+            read = [meshes.MeshPart(file.mesh, short, None)] if one_material else file.parts
+            around = file.surroundings
+        read, matrix = placed(table, read, up)
+        read, around = _finished(table, read), around.moved(matrix)
     except InputError as error:
         raise table.within(error) from None
     if one_material:
         parts = [Part(part.mesh, known(table, "material"), short) for part in read]
         table.finish()
-        return parts, {}, []
+        return parts, {}, [], around
     overridden = {}
     if chosen:
         default = known(chosen, _OTHERS) if chosen.has(_OTHERS) else None
         for part in read:
-            name = known(chosen, part.name) if chosen.has(part.name) else default
-            overridden |= {part.name: name} if name else {}
+            own = known(chosen, part.name) if chosen.has(part.name) else default
+            overridden |= {part.name: own} if own else {}
         chosen.finish()
     table.finish()
     # Files of one name in several folders keep their materials apart.
     taken = any(other.startswith(f"{short}:") for other in materials)
-    return file_parts(name if taken else short, read, overridden)
+    return *file_parts(name if taken else short, read, overridden), around
 
 
 def file_parts(

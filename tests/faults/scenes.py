@@ -209,12 +209,6 @@ def _materials() -> dict[str, Fault]:
         "texture with nan": _fault(wood, '"nan.exr"', "[wood]", "nan.exr: a texture needs pixels that are finite"),
         "texture negative": _fault(wood, '"negative.exr"', "[wood]", "not negative; repair the image"),
         "texture of another kind": _fault(wood, '"card.obj"', "[wood]", "unknown kind of image '.obj'; use one of"),
-        "texture without coordinates": _fault('{ steel = "paper" }', '{ steel = "wood" }', "no texture coordinates"),
-        "constant bumps without coordinates": _fault(
-            '{ steel = "paper" }', '{ steel = "bumpy" }\n[material.bumpy]\ntype = "lambert"\nalbedo = 0.5\n'
-            "normal_map = [0.7, 0.5, 0.9]",
-            "no texture coordinates",
-        ),
         "normal map of one number": _fault('"bumps.png"', "0.5", "[wood]", "'normal_map' must be 3 numbers"),
         "normal map missing": _fault('"bumps.png"', '"none.png"', "[wood]", "none.png: no such file; check the path"),
         "normal map with nan": _fault('"bumps.png"', '"nan.exr"', "[wood]", "finite and not negative; repair"),
