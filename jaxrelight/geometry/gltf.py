@@ -67,7 +67,7 @@ class _Primitive(NamedTuple):
 def _read(content: Content) -> RawMesh:
     """Everything that the default scene shows."""
     count, nodes = len(content.entries("materials")), list(scene_nodes(content))
-    parts: dict[int, list[_Primitive]] = {}
+    placed: list[tuple[int, _Primitive, np.ndarray | None, np.ndarray]] = []
     corners = 0
     for node in nodes:
         if "mesh" not in node.entry:
@@ -75,7 +75,7 @@ def _read(content: Content) -> RawMesh:
         mesh = content.entries("meshes")[node.entry["mesh"]]
         weights = [float(weight) for weight in node.entry.get("weights", mesh.get("weights", []))]
         skin = joint_matrices(content, node.entry["skin"]) if "skin" in node.entry else None
-        places = [node.matrix] if skin is not None else instances(content, node)
+        places = node.matrix[None] if skin is not None else instances(content, node)
         for entry in mesh["primitives"]:
             primitive = _primitive(content, entry, weights)
             if primitive is None:
@@ -84,12 +84,15 @@ def _read(content: Content) -> RawMesh:
             if corners > MAX_CORNERS:
                 raise InputError("has more than 268 million vertices and corners; export less of it")
             material = entry.get("material", -1)
-            group = parts.setdefault(material if 0 <= material < count else -1, [])
-            if skin is not None and primitive.bones is not None:
-                content.note("meshes with skins stand as their joints do")
-                group.append(_posed(skin, primitive))
-            else:
-                group += [_moved(place, primitive) for place in places]
+            placed.append((material if 0 <= material < count else -1, primitive, skin, places))
+    parts: dict[int, list[_Primitive]] = {}
+    for material, primitive, skin, places in placed:
+        if skin is not None and primitive.bones is not None:
+            content.note("meshes with skins stand as their joints do")
+            primitive = _posed(skin, primitive)
+        else:
+            primitive = _moved(places, primitive)
+        parts.setdefault(material, []).append(primitive)
     raw = _joined(content, parts)
     raw.surroundings = surroundings(content, sorted(nodes, key=lambda node: node.number))
     return raw
@@ -211,15 +214,21 @@ def _posed(joints: Float[np.ndarray, "j 4 4"], primitive: _Primitive) -> _Primit
     return primitive._replace(points=points, normals=normals, faces=faces, bones=None)
 
 
-def _moved(matrix: Float[np.ndarray, "4 4"], primitive: _Primitive) -> _Primitive:
-    """A primitive in its place."""
-    linear, normals = matrix[:3, :3], primitive.normals
+def _moved(matrices: Float[np.ndarray, "n 4 4"], primitive: _Primitive) -> _Primitive:
+    """A primitive in its places, as one."""
+    linear, (times, count) = matrices[:, :3, :3], (len(matrices), len(primitive.points))
     mirrors = np.linalg.det(linear) < 0
+    normals = primitive.normals
     if normals is not None:
-        normals = (normals @ _cofactors(linear).T) * (-1 if mirrors else 1)
-    faces = primitive.faces[:, ::-1] if mirrors else primitive.faces
-    points = primitive.points @ linear.T + matrix[:3, 3]
-    return primitive._replace(points=points, faces=faces, normals=normals, bones=None)
+        side = np.where(mirrors, -1.0, 1.0)[:, None, None]
+        normals = (side * (normals @ _cofactors(linear).transpose(0, 2, 1))).reshape(-1, 3)
+    points = primitive.points @ linear.transpose(0, 2, 1) + matrices[:, None, :3, 3]
+    inside = (primitive.faces >= 0) & (primitive.faces < count)
+    faces = np.where(inside, primitive.faces + count * np.arange(times)[:, None, None], -1)
+    faces = np.where(mirrors[:, None, None], faces[..., ::-1], faces)
+    colours = None if primitive.colours is None else np.tile(primitive.colours, (times, 1))
+    uv = np.tile(primitive.uv, (times, 1))
+    return _Primitive(points.reshape(-1, 3), faces.reshape(-1, 3), normals, uv, colours, None)
 
 
 def _cofactors(linear: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 3 3"]:

@@ -10,6 +10,10 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.file_lights import FileCamera, FileLight, Surroundings
 from jaxrelight.geometry.gltf_content import Content
 
+_MAX_INSTANCES = 2**22
+# Extensions of nodes that are read.
+_OF_NODES = ("EXT_mesh_gpu_instancing", "KHR_lights_punctual", "KHR_node_visibility")
+
 
 class Node(NamedTuple):
     """A node that is in the scene.
@@ -53,9 +57,6 @@ def scene_nodes(content: Content) -> Iterator[Node]:
         yield Node(number, node, matrix)
 
 
-_OF_NODES = ("EXT_mesh_gpu_instancing", "KHR_lights_punctual", "KHR_node_visibility")
-
-
 def own_matrix(node: dict) -> Float[np.ndarray, "4 4"]:
     """A node's own transform: column by column, or translation · rotation · scale."""
     if "matrix" in node:
@@ -64,29 +65,32 @@ def own_matrix(node: dict) -> Float[np.ndarray, "4 4"]:
     return _placed(node.get("translation", [0, 0, 0]), turn, node.get("scale", [1, 1, 1]))
 
 
-def _placed(translation: Any, quaternion: np.ndarray, scale: Any) -> Float[np.ndarray, "4 4"]:
-    x, y, z, w = quaternion
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn * np.array(scale, float)
-    matrix[:3, 3] = translation
+def _placed(translation: Any, quaternion: np.ndarray, scale: Any) -> Float[np.ndarray, "*n 4 4"]:
+    """Translation · rotation · scale, of one or of many."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    turn = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix = np.zeros((*turn.shape[:-2], 4, 4))
+    matrix[..., :3, :3] = turn * np.array(scale, float)[..., None, :]
+    matrix[..., :3, 3] = translation
+    matrix[..., 3, 3] = 1
     return matrix
 
 
-def instances(content: Content, node: Node) -> list[Float[np.ndarray, "4 4"]]:
+def instances(content: Content, node: Node) -> Float[np.ndarray, "n 4 4"]:
     """Where a node's mesh stands: once, or at each instance of EXT_mesh_gpu_instancing."""
     extension = node.entry.get("extensions", {}).get("EXT_mesh_gpu_instancing")
     if extension is None:
-        return [node.matrix]
+        return node.matrix[None]
     names, rows = extension.get("attributes", {}), {}
     for name, width in (("TRANSLATION", 3), ("ROTATION", 4), ("SCALE", 3)):
         if name in names:
+            if content.entries("accessors")[names[name]]["count"] > _MAX_INSTANCES:
+                raise InputError(f"has more than {_MAX_INSTANCES:,} instances of a mesh; export less of it")
             rows[name] = content.accessor(names[name], width).astype(float)
     lengths = {len(values) for values in rows.values()}
     if len(lengths) > 1:
@@ -95,7 +99,7 @@ def instances(content: Content, node: Node) -> list[Float[np.ndarray, "4 4"]]:
     moved = rows.get("TRANSLATION", np.zeros((count, 3)))
     turned = rows.get("ROTATION", np.tile([0.0, 0, 0, 1], (count, 1)))
     scaled = rows.get("SCALE", np.ones((count, 3)))
-    return [node.matrix @ _placed(*each) for each in zip(moved, turned, scaled, strict=True)]
+    return node.matrix @ _placed(moved, turned, scaled)
 
 
 def all_matrices(content: Content) -> list[Float[np.ndarray, "4 4"]]:

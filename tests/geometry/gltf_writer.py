@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-_KINDS = {"<f4": 5126, "<u2": 5123, "<u4": 5125, "|u1": 5121}
-_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_KINDS = {"<f4": 5126, "<i2": 5122, "<u2": 5123, "<u4": 5125, "|i1": 5120, "|u1": 5121}
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 
 class Gltf:
@@ -33,9 +33,18 @@ class Gltf:
         self.json["accessors"].append({**entry, "type": _TYPES[width], **more})
         return len(self.json["accessors"]) - 1
 
-    def mesh(self, positions, indices=None, normals=None, uv=None, **more) -> int:
+    def sparse(self, count: int, at, rows, base=None) -> int:
+        """Number of an accessor of rows of three numbers, some of which are replaced; the others zeros without base."""
+        indices = {"bufferView": self.view(np.asarray(at, "<u2").tobytes()), "componentType": 5123}
+        values = {"bufferView": self.view(np.asarray(rows, "<f4").tobytes())}
+        entry = {"componentType": 5126, "count": count, "type": "VEC3"}
+        entry |= {} if base is None else {"bufferView": self.view(np.asarray(base, "<f4").tobytes())}
+        self.json["accessors"].append({**entry, "sparse": {"count": len(at), "indices": indices, "values": values}})
+        return len(self.json["accessors"]) - 1
+
+    def mesh(self, positions, indices=None, normals=None, uv=None, attributes=None, **more) -> int:
         """Number of a mesh of one primitive; uv as the file counts it, v downwards."""
-        attributes = {"POSITION": self.accessor(positions)}
+        attributes = {"POSITION": self.accessor(positions), **(attributes or {})}
         attributes |= {} if normals is None else {"NORMAL": self.accessor(normals)}
         attributes |= {} if uv is None else {"TEXCOORD_0": self.accessor(uv)}
         primitive = {"attributes": attributes, **more}
