@@ -162,17 +162,17 @@ def _scaled_normals(bumps: Texture | None, scale: float) -> Texture | None:
     """A normal map whose x and y are multiplied before normals are of unit length."""
     if bumps is None or scale == 1:
         return bumps
-    factors = np.array([scale, scale, 1.0], np.float32)
-    pixels = (np.asarray(bumps.pixels) - np.float32(0.5)) * factors + np.float32(0.5)
-    return dataclasses.replace(bumps, pixels=as_array(pixels), coarser=None).minified()
+    middle = np.array([0.5, 0.5, 0.0], np.float32)
+    return _with_pixels(bumps, (np.asarray(bumps.pixels) - middle) * np.array([scale, scale, 1.0]) + middle)
 
 
 def _tinted(image: Texture | None, colour: np.ndarray) -> Texture:
     """An image times a colour; the colour alone without one."""
     if image is None:
         return constant(colour, jnp.float32)
-    if np.all(colour == 1):
-        return image
-    # By NumPy: JAX would compile a program for every size of image.
-    pixels = np.asarray(image.pixels) * np.asarray(colour, np.float32)
-    return dataclasses.replace(image, pixels=as_array(pixels), coarser=None).minified()
+    return image if np.all(colour == 1) else _with_pixels(image, np.asarray(image.pixels) * colour)
+
+
+def _with_pixels(texture: Texture, pixels: np.ndarray) -> Texture:
+    """Another image in the place of a texture."""
+    return dataclasses.replace(texture, pixels=as_array(pixels, jnp.float32), coarser=None).minified()
