@@ -50,7 +50,7 @@ def read_mtl(text: str, folder: pathlib.Path) -> dict[str, FileMaterial]:
     read: dict[str, _Statements] = {}
     mine = _Statements(FileMaterial())
     for line in text.lstrip("\ufeff").splitlines():
-        key, _, rest = line.strip().partition("\t" if "\t" in line.strip().split(" ", 1)[0] else " ")
+        key, rest = [*line.split(None, 1), "", ""][:2]
         key, rest = key.lower(), rest.strip()
         if not key or key.startswith("#"):
             continue

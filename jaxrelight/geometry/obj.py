@@ -41,7 +41,7 @@ def read_obj(data: bytes, folder: pathlib.Path) -> RawMesh:
     smoothing, smoothings = BY_ANGLE, []
     lost = {"fewer than three vertex numbers": 0, "index out of range": 0}
     for line in text.replace("\\\n", " ").split("\n"):
-        key, _, rest = line.strip().partition(" ")
+        key, rest = [*line.split(None, 1), "", ""][:2]
         if key == "f":
             words = rest.split("#", 1)[0].split()
             counts = [len(rows[name]) for name in _WIDTHS]
@@ -57,8 +57,6 @@ def read_obj(data: bytes, folder: pathlib.Path) -> RawMesh:
             part_of_polygon.append(part)
             smoothings.append(smoothing)
             continue
-        if "\t" in key:
-            key, _, rest = line.strip().partition("\t")
         if key in rows:
             words, width = rest.split("#", 1)[0].split(), _WIDTHS[key]
             if key == "v" and len(words) in _COLOUR_WORDS:

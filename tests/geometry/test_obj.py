@@ -93,7 +93,7 @@ def test_byte_order_marks(tmp_path, encoding: str):
 
 def test_names_with_hashes_and_comments_after_them(tmp_path):
     (tmp_path / "my #1 lib.mtl").write_text("newmtl Rough #1\nKd .1\nnewmtl Rough #2\nKd .2\nnewmtl plain\nKd .3\n")
-    names = "usemtl Rough #1\nf 1 2 3 # one\nusemtl Rough #2\nf 1 3 4#two\nusemtl plain # three\nf 2 5 3\n"
+    names = "usemtl\tRough #1\nf\t1 2 3 # one\nusemtl Rough #2\nf 1 3 4#two\nusemtl plain # three\nf 2 5 3\n"
     parts = _parts(tmp_path, f"# it\nmtllib my #1 lib.mtl\n{SQUARE}{names}")
     assert [part.material.diffuse[0] if part.material else None for part in parts] == [0.1, 0.2, 0.3]
 
