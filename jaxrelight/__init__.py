@@ -7,7 +7,7 @@ The public names, each loaded when it is first used:
     lights      Lights, Environment, environment, load_environment, load_lights, point, spot, directional, area,
                 projector, shaped, sky_of, even_sky, Light, Punctual, Incident
     materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor, Factoring, Brdf, LobeSum,
-                Material, Component, Texture, constant, textured_lambert, textured_phong
+                Material, Component, Texture, VertexColours, constant, textured_lambert, textured_phong
     methods     Transport, Indirect, Prefiltered, Adaptive
     lighting    prepare, open_store, Relighter, Image, LightLayers
     operators   Operator, Dense, SparseRows, Clustered, Stacked, as_lineax, sharded
@@ -42,7 +42,7 @@ _HOMES = {
     "brdf.factors": ("factor",),
     "brdf.factoring": ("Factoring",),
     "brdf.material": ("Material", "Component", "textured_lambert", "textured_phong"),
-    "brdf.texture": ("Texture", "constant"),
+    "brdf.texture": ("Texture", "VertexColours", "constant"),
     "methods": ("Transport", "Indirect", "Prefiltered", "Adaptive"),
     "lighting.prepare": ("prepare", "open_store"),
     "lighting.contract": ("Relighter", "Image"),

@@ -71,6 +71,7 @@ PUBLIC = {
     "Stacked",
     "Texture",
     "Transport",
+    "VertexColours",
     "area",
     "as_lineax",
     "ashikhmin_shirley",

@@ -24,20 +24,24 @@ def read_texture(picture: PictureSource, *, data: bool = False) -> Texture:
     Raises:
         InputError: if it cannot be read, or has pixels that are negative or not finite.
     """
-    return Texture(as_array(_read_pixels(picture, data=data)[..., :3], jnp.float32)).minified()
+    return _as_texture(_open(picture, data=data)[0])
 
 
-def _read_pixels(picture: PictureSource, *, data: bool = False) -> np.ndarray:
-    """Pixels as `read_texture` has them, with alpha where there is any."""
+def _as_texture(pixels: np.ndarray) -> Texture:
+    return Texture(as_array(pixels[..., :3], jnp.float32)).minified()
+
+
+def _open(picture: PictureSource, *, data: bool = False) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Pixels as `read_texture` has them, with alpha where there is any, and what was assumed of the image."""
     from jaxrelight.images import decode_image, open_image
 
     if isinstance(picture, bytes):
         name, image = "an embedded image", decode_image(picture, "an embedded image", stored=data)
     else:
-        name, image = str(picture), open_image(picture, stored=data)
+        name, image = f"{picture}", open_image(picture, stored=data)
     if not (np.isfinite(image.pixels).all() and (image.pixels >= 0).all()):
         raise InputError(f"{name}: a texture needs pixels that are finite and not negative; repair the image")
-    return image.pixels
+    return image.pixels, image.notes
 
 
 def weighted(surface: Brdf | Material, weight: Texture) -> tuple[Component, ...]:
@@ -84,7 +88,9 @@ def from_file(
             notes.append(f"the mesh has no texture coordinates{of_set}, which its {what} needs; taken without it")
             return None
         try:
-            return place_texture(read_texture(picture.source, data=data), picture)
+            pixels, assumed = _open(picture.source, data=data)
+            notes.extend(assumed)
+            return place_texture(_as_texture(pixels), picture)
         except InputError as error:
             notes.append(f"{error} (taken without it)")
             return None
@@ -135,7 +141,7 @@ def _with_mean_microfacets(described: FileMaterial) -> tuple[FileMaterial, list[
     if asked is None or asked.picture is None:
         return described, []
     try:
-        pixels = _read_pixels(asked.picture.source, data=True)
+        pixels = _open(asked.picture.source, data=True)[0]
     except InputError as error:
         return described, [f"{error} (its roughness is the same everywhere)"]
     means = np.ones(4)
