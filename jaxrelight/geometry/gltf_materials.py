@@ -31,7 +31,7 @@ def uv_sets_of(material: dict) -> set[int]:
     """Numbers of all sets of texture coordinates that a material follows."""
     pbr, other = material.get("pbrMetallicRoughness", {}), _extension(material, "KHR_materials_pbrSpecularGlossiness")
     every = [pbr.get("baseColorTexture"), other.get("diffuseTexture"), other.get("specularGlossinessTexture")]
-    every.append(material.get("normalTexture"))
+    every += [pbr.get("metallicRoughnessTexture"), material.get("normalTexture")]
     return {uv_set_of(texture) for texture in every if texture is not None}
 
 

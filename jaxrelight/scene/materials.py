@@ -12,10 +12,12 @@ from jaxrelight.brdf.material import Component, Material, as_material, white_lam
 from jaxrelight.brdf.normal_maps import is_normal_map
 from jaxrelight.brdf.texture import Texture, VertexColours, constant, look_up
 from jaxrelight.errors import InputError
-from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, PictureSource
+from jaxrelight.geometry.file_materials import FileMaterial, FilePicture, Microfacets, PictureSource
 from jaxrelight.numerics.arrays import as_array
 
 GREY = lobes.lambert(0.5)
+# Metalness whose standard deviation over a texture is smaller is the same everywhere.
+_SAME_METALNESS = 0.02
 
 
 def read_texture(picture: PictureSource, *, data: bool = False) -> Texture:
@@ -77,7 +79,7 @@ def from_file(
     """
     if described is None:
         return GREY, []
-    described, notes = _with_mean_microfacets(described)
+    described, metal, notes = _with_mean_microfacets(described, uv_sets)
     notes = [*described.notes, *notes]
 
     def read(picture: FilePicture | None, what: str, *, data: bool = False) -> Texture | None:
@@ -116,8 +118,10 @@ def from_file(
             return Material((Component(lobes.lambert(0.0)),), emission=colour.astype(np.float32)), notes
         notes.append("is unlit (KHR_materials_unlit), which its texture cannot be: taken as a diffuse surface")
     glossy, tinted = bool(np.any(shine > 0)), (VertexColours(),) if coloured else ()
-    if diffuse is None and specular is None and not coloured:
-        surface: Brdf | Material = lobes.phong(colour, shine, described.exponent) if glossy else lobes.lambert(colour)
+    if metal is not None:
+        surface: Brdf | Material = _partly_metal(described, metal, diffuse, tinted)
+    elif diffuse is None and specular is None and not coloured:
+        surface = lobes.phong(colour, shine, described.exponent) if glossy else lobes.lambert(colour)
     else:
         parts = [Component(white_lambert(jnp.float32), (_tinted(diffuse, colour), *tinted))]
         if glossy:
@@ -135,19 +139,49 @@ def place_texture(texture: Texture, picture: FilePicture) -> Texture:
     return dataclasses.replace(texture, placement=placement, uv_set=picture.uv_set, wrap=picture.wrap)
 
 
-def _with_mean_microfacets(described: FileMaterial) -> tuple[FileMaterial, list[str]]:
-    """A material whose texture of roughness, if it has one, counts by its means."""
+def _with_mean_microfacets(
+    described: FileMaterial, uv_sets: Collection[int]
+) -> tuple[FileMaterial, Texture | None, list[str]]:
+    """A material whose texture of roughness, if it has one, counts by its means.
+
+    With it comes metalness as a texture, where it differs over the surface and a texture can be put there.
+    """
     asked = described.microfacets
     if asked is None or asked.picture is None:
-        return described, []
+        return described, None, []
     try:
-        pixels = _open(asked.picture.source, data=True)[0]
+        pixels, notes = _open(asked.picture.source, data=True)
     except InputError as error:
-        return described, [f"{error} (its roughness is the same everywhere)"]
+        return described, None, [f"{error} (its roughness is the same everywhere)"]
     means = np.ones(4)
     means[: pixels.shape[-1]] = pixels.mean(axis=(0, 1))
     mean, note = asked.with_means(means.tolist())
-    return mean.applied_to(described), [note]
+    described = mean.applied_to(described)
+    if not isinstance(asked, Microfacets) or not described.exponent or asked.picture.uv_set not in uv_sets:
+        return described, None, [*notes, note]
+    metalness = np.clip(asked.metallic * pixels[..., 2:3], 0, 1)
+    if metalness.std() < _SAME_METALNESS:
+        return described, None, [*notes, note]
+    metal = place_texture(Texture(as_array(metalness, jnp.float32)).minified(), asked.picture)
+    return described, metal, [*notes, f"its texture of roughness counts by its mean, {mean.roughness:.2f} everywhere"]
+
+
+def _partly_metal(
+    described: FileMaterial, metal: Texture, base: Texture | None, tinted: tuple[VertexColours, ...]
+) -> Material:
+    """A surface of metal and of other parts: what is no metal is diffuse, with a little white gloss."""
+    look = described.microfacets
+    assert isinstance(look, Microfacets)
+    colour, other = np.array(look.base), _with_pixels(metal, 1 - np.asarray(metal.pixels))
+    white, shine = white_lambert(jnp.float32), white_phong(described.exponent, jnp.float32)
+    gloss = np.array(look.reflectance)
+    return Material(
+        (
+            Component(white, (_tinted(base, colour * (1 - gloss.max())), other, *tinted)),
+            Component(shine, (_tinted(base, colour), metal, *tinted)),
+            Component(shine, (constant(gloss, jnp.float32), other)),
+        )
+    )
 
 
 def _emission(described: FileMaterial, notes: list[str]) -> np.ndarray | None:

@@ -125,6 +125,10 @@ def test_text_with_its_buffer_within_and_beside(tmp_path):
             assert "its buffer 'it.bin' cannot be read" in _refusal(path)
             (tmp_path / "it.bin").write_bytes(gltf.binary)
         np.testing.assert_array_equal(load_mesh(path).vertices, TRIANGLE)
+    (tmp_path / "it.bin").rename(tmp_path / "my buffer.bin")
+    gltf.json["buffers"][0]["uri"] = "my%20buffer.bin"
+    path.write_text(json.dumps(gltf.json))
+    np.testing.assert_array_equal(load_mesh(path).vertices, TRIANGLE)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from PIL import Image
 
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Material, as_material
-from jaxrelight.brdf.texture import Texture, VertexColours
+from jaxrelight.brdf.texture import Texture, VertexColours, look_up
 from jaxrelight.geometry.mesh import load_parts
 from jaxrelight.scene.materials import from_file
 from tests.geometry.gltf_writer import Gltf
@@ -245,14 +245,36 @@ def test_specular_and_glossiness(tmp_path):
 
 def test_textures_of_roughness_count_by_their_means(tmp_path):
     pixels = np.zeros((2, 2, 3), np.uint8)
-    pixels[..., 1], pixels[:, 0, 2] = 102, 255  # 0.4 rough, and half of it metal
+    pixels[..., 1], pixels[..., 2] = 102, 128  # 0.4 rough, and half a metal
     look = {"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 0}, "metallicFactor": 0.5}}
     material, notes = _material(tmp_path, look, _encoded(pixels))
     lobes = material.components[0].brdf
     assert isinstance(lobes, LobeSum)
     np.testing.assert_allclose(lobes.exponent, (1 / 0.4**4 - 1) / 2, rtol=1e-4)
-    np.testing.assert_allclose(lobes.diffuse, [0.75 * 0.96] * 3, rtol=1e-5)
+    np.testing.assert_allclose(lobes.diffuse, [(1 - 64 / 255) * 0.96] * 3, rtol=1e-5)
     assert notes == ["its texture of metalness and roughness counts by its means, 0.25 and 0.40 everywhere"]
+
+
+def test_metalness_that_differs_is_a_texture(tmp_path):
+    """Left half metal: there the base colour shines; the right half is diffuse, with four hundredths of gloss."""
+    pixels = np.full((2, 2, 3), 102, np.uint8)
+    pixels[:, 0, 2], pixels[:, 1, 2] = 255, 0
+    info = {"index": 0, "texCoord": 1}
+    look = {"pbrMetallicRoughness": {"metallicRoughnessTexture": info, "baseColorTexture": {"index": 1}}}
+    attributes = {"TEXCOORD_0": UV, "TEXCOORD_1": UV}
+    material, notes = _material(tmp_path, look, _encoded(pixels), _encoded(CORNERS), attributes=attributes)
+    assert notes == ["its texture of roughness counts by its mean, 0.40 everywhere"]
+    assert material.uv_sets == {0, 1}
+    for u, metal, colour in ((0.25, 1, CORNERS[0, 0]), (0.75, 0, CORNERS[0, 1])):
+        at = np.array([u, 0.75, u, 0.75, 1], np.float32)
+        diffuse, shine, gloss = (look_up(component.weight, at) for component in material.components)  # pyright: ignore
+        np.testing.assert_allclose(diffuse, 0.96 * (1 - metal) * _linear(colour), atol=1e-5)
+        np.testing.assert_allclose(shine, metal * _linear(colour), atol=1e-5)
+        np.testing.assert_allclose(gloss, [0.04 * (1 - metal)] * 3, atol=1e-6)
+    del look["pbrMetallicRoughness"]["baseColorTexture"]
+    material, notes = _material(tmp_path, look, _encoded(pixels), attributes={"TEXCOORD_0": UV})
+    assert not material.needs_uv
+    assert "0.50 and 0.40 everywhere" in notes[0]
 
 
 def test_indices_of_refraction_and_specular_colours(tmp_path):
