@@ -163,7 +163,8 @@ def _with_mean_microfacets(
     if metalness.std() < _SAME_METALNESS:
         return described, None, [*notes, note]
     metal = place_texture(Texture(as_array(metalness, jnp.float32)).minified(), asked.picture)
-    return described, metal, [*notes, f"its texture of roughness counts by its mean, {mean.roughness:.2f} everywhere"]
+    roughness = asked.roughness * means[1]
+    return described, metal, [*notes, f"its texture of roughness counts by its mean, {roughness:.2f} everywhere"]
 
 
 def _partly_metal(
