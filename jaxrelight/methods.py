@@ -155,8 +155,6 @@ class Indirect(Method):
     time and bytes grow with them."""
     bounces: int = 3
     """How often light is reflected at most on its way to the surface that is seen; 1 or more."""
-    direct_samples: int = 2
-    """Samples of direct light along each side of a pixel, from 1 to 16."""
     sky: bool = False
     """A quarter of the points are directions of the sky: another environment then costs what moving a lamp does, and
     its shadows are as coarse as those points. Otherwise an environment is many distant lights, which all cast sharp
@@ -194,7 +192,6 @@ class Indirect(Method):
         )
         for name, low, high in (
             ("bounces", 1, math.inf),
-            ("direct_samples", 1, 16),
             ("sky_samples", 1, math.inf),
             ("photons", 0, 10**7),
             ("seed", 0, math.inf),
@@ -277,8 +274,6 @@ class Adaptive(Method):
     samples are not given."""
     samples: float | None = None
     """Samples of a pixel, on average: a budget in place of the tolerance."""
-    antialiasing: Literal[1, 4, 16] = 1
-    """Samples of surfaces in a pixel; 4 take about twice the time of 1, not four times."""
     shadows: bool = True
     """Let the environment and local lights cast shadows."""
     minification: Literal["levels", "averaged", "none"] = "levels"
@@ -297,7 +292,6 @@ class Adaptive(Method):
         for name in ("samples", "tolerance"):
             if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), lambda x: 0 < x < math.inf, "above 0, and finite")
-        check_choice("antialiasing", self.antialiasing, (1, 4, 16))
         check_choice("shadows", self.shadows, (True, False))
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
         if self.exposure != "auto":
@@ -307,11 +301,6 @@ class Adaptive(Method):
     def leaves_out(self, environment: bool, local: bool) -> tuple[str, ...]:
         """All bounces."""
         return (BETWEEN_SURFACES,)
-
-    @property
-    def samples_per_side(self) -> int:
-        """Samples of surfaces along each side of a pixel."""
-        return math.isqrt(self.antialiasing)
 
 
 METHODS: dict[str, type[Method]] = {

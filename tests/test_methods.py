@@ -32,7 +32,6 @@ DEFAULTS: dict[type[Method], dict[str, Any]] = {
     Indirect: {
         "gather_samples": 16384,
         "bounces": 3,
-        "direct_samples": 2,
         "sky": False,
         "sky_samples": 256,
         "coefficients": "shared",
@@ -56,7 +55,6 @@ DEFAULTS: dict[type[Method], dict[str, Any]] = {
     Adaptive: {
         "tolerance": None,
         "samples": None,
-        "antialiasing": 1,
         "shadows": True,
         "minification": "levels",
         "exposure": "auto",
@@ -135,11 +133,6 @@ def test_rays_of_a_texel_make_a_square(rays, side):
     assert Transport(visibility_samples=rays).samples_per_side == side
 
 
-@pytest.mark.parametrize(("samples", "side"), [(1, 1), (4, 2), (16, 4)])
-def test_samples_of_a_pixel_make_a_square(samples, side):
-    assert Adaptive(antialiasing=samples).samples_per_side == side
-
-
 # Limits.
 
 
@@ -161,8 +154,6 @@ def test_samples_of_a_pixel_make_a_square(samples, side):
         (Transport, {"gather_resolution": 256, "gather": "nearest"}),
         (Indirect, {"gather_samples": 64, "coefficients": 64}),
         (Indirect, {"bounces": 1}),
-        (Indirect, {"direct_samples": 1}),
-        (Indirect, {"direct_samples": 16}),
         (Indirect, {"sky_samples": 1}),
         (Indirect, {"solid_angle": 0}),
         (Indirect, {"peak": 1}),
@@ -174,7 +165,6 @@ def test_samples_of_a_pixel_make_a_square(samples, side):
         (Prefiltered, {"map_rows": 4096}),
         (Adaptive, {"tolerance": 1e-9}),
         (Adaptive, {"samples": 0.5}),
-        (Adaptive, {"antialiasing": 16}),
         (Adaptive, {"exposure": -100.0}),
         (Adaptive, {"exposure": "auto"}),
     ],
@@ -219,8 +209,6 @@ def test_the_ends_of_every_range_are_accepted(kind: type[Method], good: dict):
         (Indirect, {"gather_samples": 128}, "gather samples are 128"),
         (Indirect, {"gather_samples": 1000}, "gather samples are 1000"),
         (Indirect, {"bounces": 0}, "bounces are 0; they must be whole numbers from 1"),
-        (Indirect, {"direct_samples": 0}, "direct samples are 0; they must be whole numbers from 1 to 16"),
-        (Indirect, {"direct_samples": 17}, "direct samples are 17"),
         (Indirect, {"sky_samples": 0}, "sky samples are 0"),
         (Indirect, {"coefficients": "all"}, "coefficients are 'all'; .* a compression tolerance of 0 keeps all"),
         (Indirect, {"gather_samples": 64, "coefficients": 65}, "coefficients are 65; from 1 to 64 can be kept"),
@@ -247,7 +235,6 @@ def test_the_ends_of_every_range_are_accepted(kind: type[Method], good: dict):
         (Adaptive, {"samples": 0}, "samples are 0; they must be above 0, and finite"),
         (Adaptive, {"samples": float("nan")}, "samples are nan"),
         (Adaptive, {"samples": 4, "tolerance": 0.1}, "samples are a budget and tolerance is a quality"),
-        (Adaptive, {"antialiasing": 2}, "antialiasing is 2; it must be 1, 4 or 16"),
         (Adaptive, {"minification": "mipmap"}, "minification is 'mipmap'"),
         (Adaptive, {"exposure": float("inf")}, "exposure is inf; it must be finite, or 'auto'"),
         (Adaptive, {"exposure": "bright"}, "exposure is 'bright'; it must be finite, or 'auto'"),

@@ -50,13 +50,11 @@ class Demo:
                 relighter: Any = prepared(scene, method, self.output / "store", report, summary, seconds)
             sky: Any = scene.lights.environment
 
-            # Twice as many pixels along each side, averaged afterwards: smooth edges.
-            rows, h, w = [], scene.camera.height, scene.camera.width
+            rows = []
             for eye in _EYES:
-                view = relighter.view(dataclasses.replace(scene.camera, origin=eye, width=2 * w, height=2 * h))
+                view = relighter.view(dataclasses.replace(scene.camera, origin=eye), antialiasing=4)
                 turned = [shaded(relighter, sky.with_(rotate_y=degrees), view, {})[1] for degrees in _ROTATIONS]
-                smooth = [pixels.reshape(h, 2, w, 2, 4).mean(axis=(1, 3)) for pixels in turned]
-                rows.append(np.concatenate(smooth, axis=1))
+                rows.append(np.concatenate(turned, axis=1))
             sheet = np.concatenate(rows)
             exposure = auto_exposure(sheet) if self.exposure == "auto" else self.exposure
             write_image(self.output / "relit.png", sheet, exposure, tone=self.tone)

@@ -4,7 +4,7 @@ import dataclasses
 import pathlib
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 _SCENE = "A scene file (.toml), or a mesh alone (.ply, .obj, .stl, .glb, .gltf), which is put on a floor and framed."
 _UP = "The upward axis of mesh files, where the scene does not say: 'z' for those of CAD programs and of Blender."
 Up = Annotated[Literal["y", "z"], tyro.conf.arg(help=_UP)]
+_ANTIALIASING = (
+    "Samples of surfaces in a pixel, which smooth edges. Where receivers are pixels, as by default, samples have "
+    "coverage and local lights of their own, and precomputed light of their pixels."
+)
+Antialiasing = Annotated[Literal[1, 4, 16], tyro.conf.arg(help=_ANTIALIASING)]
 _MODULES = "A Python module that is imported first, with BRDFs or lights of your own; may be given again."
 ScenePath = Annotated[tyro.conf.Positional[pathlib.Path], tyro.conf.arg(help=_SCENE)]
 Output = Annotated[pathlib.Path, tyro.conf.arg(aliases=["-o"], metavar="FILE", help="The picture: .exr, .hdr or .png.")]
@@ -104,17 +109,23 @@ class ViewOptions:
     """Pixels in a row."""
     height: int | None = None
     """Rows."""
+    antialiasing: Antialiasing = 4
 
     def camera(self, default: "Camera") -> "Camera":
         """The camera that these options and the scene's own make together."""
-        overrides = {name: value for name, value in dataclasses.asdict(self).items() if value is not None}
-        return dataclasses.replace(default, **overrides)
+        return dataclasses.replace(default, **self.changes)
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """What is given of the camera."""
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value for name, value in values.items() if value is not None and name != "antialiasing"}
 
 
 _EXPOSURE = (
     "Stops by which a .png is made brighter; .exr and .hdr hold radiance. 'auto' shows the 95th percentile of the "
-    "luminance of surfaces at 0.8 of white. Adaptive lighting plans its samples for displayed values, so there a "
-    "number steers the samples of every picture."
+    "brightest channel of surfaces at 0.8 of white. Adaptive lighting plans its samples for displayed values, so "
+    "there a number steers the samples of every picture."
 )
 _TONE = "From radiance to what a .png shows: 'linear' clips at white; 'filmic' (Hable) and 'agx' (Sobotka) roll off."
 Exposure = Annotated[float | Literal["auto"], tyro.conf.arg(help=_EXPOSURE)]

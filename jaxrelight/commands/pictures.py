@@ -12,7 +12,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.images.false_colour import false_colour
 from jaxrelight.images.files import check_writable, write_image, write_layers
-from jaxrelight.images.tone import AUTO_PERCENTILE, Exposure, Tone, auto_exposure, displayed, luminance, shown_pixels
+from jaxrelight.images.tone import AUTO_PERCENTILE, Exposure, Tone, auto_exposure, displayed, shown_pixels
 from jaxrelight.lighting.contract import Image, Relighter
 from jaxrelight.lighting.picture_error import PictureError
 from jaxrelight.lighting.prepare import prepare_with_build
@@ -29,6 +29,8 @@ _TRACING = "visibility", "between", "pixels"
 _TOLD_NEGATIVE = 0.001
 # Displayed values above this are white; pictures are dark if nearly all values are below that. And the least share of
 # clipped pixels that is told.
+# The least share of backs of faces that is told: a few are seen at edges and through holes.
+_TOLD_BEHIND = 0.1
 _WHITE, _DARK, _TOLD_CLIPPED = 1 - 0.5 / 255, 0.1, 0.1
 
 
@@ -96,14 +98,13 @@ def make_picture(
     camera: Camera,
     seconds: dict[str, float],
     report: Report | None = None,
-    **view_options: int,
 ) -> dict:
     """Writes the picture that `render` or `relight` asks for; the summary of it, and of what lit it.
 
-    `view_options` are what the method's `view` takes beside the camera. What is done is added to the seconds.
+    What is done is added to the seconds.
     """
     with timed(seconds, "view"):
-        view = relighter.view(camera, **view_options)
+        view: Any = relighter.view(camera, command.view.antialiasing)
     is_png = command.output.suffix.lower() == ".png"
     how = {"background": command.picture.background == "environment", "layers": command.layers, "report": report}
     image, rgba = shaded(relighter, lights, view, seconds, **how)
@@ -128,12 +129,21 @@ def make_picture(
             ]
         )
     clipped = told_clipped(rgba, exposure, command.picture.tone) if is_png else None
+    behind = getattr(view, "surfaces", view).behind_share()
+    if behind >= _TOLD_BEHIND:
+        notes(
+            [
+                f"{behind:.0%} of what is seen are backs of faces, which are black; put the camera between the walls "
+                "that face inwards (jaxrelight info says where), or give the mesh two_sided = true"
+            ]
+        )
     shown = rgba[..., 3] > 0
     plan = image.measured.get("plan")
     return {
         "picture": str(command.output),
         "width": rgba.shape[1],
         "height": rgba.shape[0],
+        "antialiasing": command.view.antialiasing,
         "covered": float(rgba[..., 3].mean()),
         "mean_radiance": float(rgba[shown][:, :3].mean()) if shown.any() else 0.0,
         **({} if error is None else {"error": _describe_error(error)}),
@@ -160,7 +170,7 @@ def told_clipped(pixels: np.ndarray, exposure: Exposure, tone: Tone) -> float:
     values = displayed(seen, automatic if exposure == "auto" else exposure, tone)
     clipped = float(np.mean((values > _WHITE).any(axis=-1)))
     hint = "" if exposure == "auto" else f"; --exposure auto takes {automatic:+.1f}"
-    if not (luminance(seen) > 0).any():
+    if not (seen[..., :3] > 0).any():
         notes(["the picture is black: no light reaches what is seen; look at the lights, and at what hides them"])
     elif np.percentile(values.max(axis=-1), AUTO_PERCENTILE) < _DARK:
         notes([f"the picture is nearly black at an exposure of {exposure}{hint}"])

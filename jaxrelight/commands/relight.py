@@ -32,8 +32,6 @@ class Relight:
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     view: tyro.conf.OmitArgPrefixes[ViewOptions] = ViewOptions()
     picture: tyro.conf.OmitArgPrefixes[PictureOptions] = PictureOptions()
-    direct_samples: int | None = None
-    """Of a store for indirect lighting, samples of direct light along each side of a pixel; by default the store's."""
     layers: bool = False
     """Of a store for indirect lighting, write layers of the .exr, as `render` does."""
     error_samples: ErrorSamples = 256
@@ -52,15 +50,11 @@ class Relight:
             check_output(self.output, self.layers, self.error_samples, self.picture.tone)
             with timed(seconds, "open"):
                 relighter = open_store(self.store)
-            if (self.layers or self.direct_samples is not None) and relighter.method.name != "indirect":
-                raise InputError("--layers and --direct-samples are for stores of --lighting indirect; leave them out")
-            options = {}
-            if self.direct_samples is not None:
-                dataclasses.replace(relighter.method, direct_samples=self.direct_samples)  # refuses what is none
-                options["direct_samples"] = self.direct_samples
+            if self.layers and relighter.method.name != "indirect":
+                raise InputError("--layers are for stores of --lighting indirect; leave them out")
             camera = self.view.camera(relighter.camera)
             with timed(seconds, "environment"):
                 lights = self.light.lights(relighter.scene_lights(), relighter.transport.emits, self.lights)
             notes(lights.notes)
             summary["store"] = str(self.store)
-            summary |= make_picture(self, relighter, lights, camera, seconds, **options)
+            summary |= make_picture(self, relighter, lights, camera, seconds)

@@ -21,6 +21,7 @@ from jaxrelight.commands.options import (
 )
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
+from jaxrelight.methods import Transport
 from jaxrelight.timing import timed
 
 
@@ -72,6 +73,13 @@ class Render:
             if self.maps is not None:
                 _make_maps_folder(self.maps, lights.environment is not None)
             notes(dict.fromkeys((*scene.notes, *lights.notes)))
+            if isinstance(method, Transport) and method.receivers == "pixels" and self.view.changes:
+                notes(
+                    [
+                        "receivers are the pixels of this camera, and each other camera is precomputed anew; with "
+                        "--receivers vertices, one store shows all of them at no cost"
+                    ]
+                )
             with progress(self.json) as report:
                 relighter = prepared(scene, method, self.store, report, summary, seconds)
                 summary |= make_picture(self, relighter, lights, scene.camera, seconds, report)

@@ -11,11 +11,10 @@ Exposure = float | Literal["auto"]
 Tone = Literal["linear", "filmic", "agx"]
 TONES: tuple[Tone, ...] = get_args(Tone)
 
-# Automatic exposure shows this percentile of luminance at this linear level, which sRGB encodes as 0.91 of white.
+# Automatic exposure shows this percentile of the brightest channel at this linear level, which sRGB encodes as 0.91.
 AUTO_PERCENTILE, AUTO_LEVEL = 95.0, 0.8
 # Exposures at which single precision holds both radiance and its factor.
 _MAX_STOPS = 100.0
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709
 
 # Hable, "Uncharted 2: HDR Lighting" (GDC 2010): shoulder, linear and toe parameters A … F, the white point, and the
 # factor on radiance that the talk's shader has.
@@ -48,17 +47,12 @@ def srgb_decode(encoded: ArrayLike) -> np.ndarray:
     return np.where(encoded <= 0.04045, encoded / 12.92, curved)
 
 
-def luminance(pixels: ArrayLike) -> np.ndarray:
-    """Luminance `[...]` of linear Rec.709 `[..., 3 or 4]`; a fourth channel is left out."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(pixels)[..., :3] @ _LUMINANCE
-
-
 def auto_exposure(pixels: ArrayLike) -> float:
-    """The exposure at which the 95th percentile of luminance is shown at 0.8, a little below white.
+    """The exposure at which the 95th percentile of the brightest channel is shown at 0.8, a little below white.
 
     Pixels that show a surface count: those whose fourth channel is above 0, or all where there is no such pixel. Black
-    ones, and those that are not finite, are left out; an image without any others gets 0.
+    ones, and those that are not finite, are left out; an image without any others gets 0. The brightest channel, rather
+    than luminance, keeps coloured light from being clipped.
 
     Args:
         pixels: linear Rec.709 `[..., 3 or 4]`.
@@ -67,25 +61,11 @@ def auto_exposure(pixels: ArrayLike) -> float:
         Stops, from −100 to 100.
     """
     pixels = np.asarray(pixels)
-    return exposure_of(luminance(pixels)[shown_pixels(pixels)])
-
-
-def exposure_of(levels: np.ndarray, weights: np.ndarray | None = None) -> float:
-    """`auto_exposure` of luminances, each of which may stand for several pixels.
-
-    Args:
-        levels: `[n]`.
-        weights: how many pixels each stands for; by default one.
-    """
-    levels = np.asarray(levels, float)
-    lit = np.isfinite(levels) & (levels > 0)
-    if not lit.any():
+    levels = pixels[..., :3].max(axis=-1)[shown_pixels(pixels)].astype(float)
+    lit = levels[np.isfinite(levels) & (levels > 0)]
+    if not len(lit):
         return 0.0
-    weights = np.ones(lit.sum()) if weights is None else np.asarray(weights, float)[lit]
-    order = np.argsort(levels[lit])
-    below = np.cumsum(weights[order])
-    place = np.searchsorted(below, AUTO_PERCENTILE / 100 * below[-1])
-    level = levels[lit][order[min(place, len(order) - 1)]]
+    level = np.percentile(lit, AUTO_PERCENTILE)
     return float(np.clip(np.log2(AUTO_LEVEL) - np.log2(level), -_MAX_STOPS, _MAX_STOPS))
 
 

@@ -1,13 +1,38 @@
-"""Direct light of several samples a pixel with indirect light of one, without leaks across edges (Hašan 2006 §3.6)."""
+"""Several samples of surfaces in a pixel: their mean, and samples that take radiance from pixels.
+
+Where a pixel is dear, its radiance is known once, and each sample takes that of the pixel that it is most like, so that
+nothing leaks across edges (Hašan 2006 §3.6).
+"""
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import GBuffer
+from jaxrelight.methods import check_choice
+
+# Samples in a pixel.
+ANTIALIASING = 1, 4, 16
+
+
+def samples_along(antialiasing: int) -> int:
+    """Samples along each side of a pixel that has so many.
+
+    Raises:
+        InputError: unless they are 1, 4 or 16.
+    """
+    check_choice("antialiasing", antialiasing, ANTIALIASING)
+    return math.isqrt(antialiasing)
+
+
+def pixel_angle(camera: Camera) -> float:
+    """The angle that a pixel in the middle of a picture covers along a side, in radians."""
+    return float(2 * np.tan(np.radians(camera.fov_y) / 2) / camera.height)
 
 
 def nearest_pixels(

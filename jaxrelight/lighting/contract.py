@@ -114,11 +114,18 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         """The scene's own lights."""
 
     @abc.abstractmethod
-    def view(self, camera: Camera | None = None) -> ViewT:
+    def view(self, camera: Camera | None = None, antialiasing: int = 1) -> ViewT:
         """What a camera sees; by default the scene's. Traces its rays on the host.
 
+        Args:
+            camera: any; by default the scene's.
+            antialiasing: samples of surfaces in a pixel, of which a picture shows the mean: 1, 4 or 16. Where receivers
+                are pixels, samples take the precomputed radiance of the pixel that they are most like, and have local
+                lights and coverage of their own.
+
         Raises:
-            InputError: for another camera than the scene's where the method has bound that one.
+            InputError: for another camera than the scene's where the method has bound that one, or another number of
+                samples.
         """
 
     @abc.abstractmethod
@@ -165,6 +172,10 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         bare = Image(image.radiance, image.alpha)
         return image.measured_by(lambda samples: self.error(bare, lit, view, samples=samples))
 
+    def samples_of(self, view: ViewT) -> ViewT:
+        """The view whose pixels are those that are shaded; another one where they are samples of a picture's pixels."""
+        return view
+
     @abc.abstractmethod
     def reference(self, view: ViewT, samples: int, seed: int) -> Reference:
         """What pictures of a view are measured against. Casts rays on the host.
@@ -194,7 +205,8 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
     ) -> PictureError | None:
         """How far a picture is from the method's exact reference, on a sample of its own pixels.
 
-        A view's rays are cast once and kept; afterwards each light costs a product.
+        A view's rays are cast once and kept; afterwards each light costs a product. Where pixels are means of samples
+        that are shaded one by one, it is that of the samples, which are shaded again.
 
         Args:
             image: the picture.
@@ -212,6 +224,9 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         _check_measurable((image, lit, view), samples)
         if not samples or not np.asarray(image.alpha).any():
             return None
+        shaded = self.samples_of(view)
+        if shaded is not view:
+            view, image = shaded, self.shade(lit, shaded)
         reference = self._kept_reference(view, samples, seed)
         radiance = np.asarray(image.radiance).reshape(-1, 3)
         chosen, weights = reference.samples(radiance)
@@ -240,7 +255,7 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         _check_measurable((lit, view), samples)
         if not samples:
             return None
-        reference = self._kept_reference(view, samples, seed)
+        reference = self._kept_reference(self.samples_of(view), samples, seed)
         even, of_all = reference.even, np.full(len(reference.even.pixels), reference.evenly)
         if not len(of_all):
             return None
@@ -283,16 +298,23 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         )
 
     def picture(
-        self, lights: LightsLike = None, camera: Camera | None = None, *, background: bool = True
+        self,
+        lights: LightsLike = None,
+        camera: Camera | None = None,
+        *,
+        antialiasing: int = 1,
+        background: bool = True,
     ) -> Float[np.ndarray, "h w 4"]:
         """A finished picture, RGBA: light, view, trace and shade in one call.
 
         Args:
             lights: by default the scene's own.
             camera: by default the scene's own.
+            antialiasing: see `view`.
             background: show the environment where no surface is.
         """
-        lit, view = self.light(self.scene_lights() if lights is None else as_lights(lights)), self.view(camera)
+        lit = self.light(self.scene_lights() if lights is None else as_lights(lights))
+        view = self.view(camera, antialiasing)
         image = self.shade(lit, view)
         return image.rgba(self.background(lit, view) if background else None)
 
@@ -319,7 +341,17 @@ def image_of(parts: Sequence[Float[Array, "fh fw 3"] | None], covered: Bool[Arra
     return Image(radiance, alpha[..., 0])
 
 
-@jax.jit
-def behind(background: Float[Array, "h w 3"], covered: Array) -> Float[Array, "h w 3"]:
-    """A background where no surface is seen."""
-    return jnp.where(covered[..., None], 0, background)
+@functools.partial(jax.jit, static_argnames="factor")
+def behind(background: Float[Array, "fh fw 3"], covered: Array, factor: int = 1) -> Float[Array, "h w 3"]:
+    """A background where samples show no surface: the mean over each pixel's, so many along each side."""
+    shown = jnp.where(covered[..., None], 0, background)
+    return averaged(shown, factor) if factor > 1 else shown
+
+
+def kept_beside(view: Any, name: str, make: Callable[[], Any]) -> Any:
+    """What a view keeps beside the pytree, made where it is not there yet."""
+    kept = view.__dict__.get(name)
+    if kept is None:
+        kept = make()
+        object.__setattr__(view, name, kept)
+    return kept

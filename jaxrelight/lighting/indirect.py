@@ -16,7 +16,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.tracer import OFFSET
-from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels
+from jaxrelight.lighting.antialiasing import averaged, joined, samples_along
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.every_link import MEANS, EveryLink, encoded
@@ -33,8 +33,8 @@ from jaxrelight.lighting.shadows import (
     trace_visibility,
     unpacked,
 )
-from jaxrelight.lighting.transport import TransportRelighter, TransportView
-from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces, trace_view, with_samples
+from jaxrelight.lighting.transport import TransportRelighter, TransportView, samples_of_pixels
+from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.local import Light
@@ -54,13 +54,18 @@ class IndirectView(eqx.Module):
 
     Attributes:
         samples: what the camera sees with several samples a pixel.
-        pixels: the receivers of gathered light.
         nearest: of every sample the pixel whose indirect light it takes; −1 where it shows no surface.
+        pixels: the receivers of gathered light.
     """
 
     samples: VisibleSurfaces
-    pixels: TransportView
     nearest: Int[Array, "fh fw"]
+    pixels: TransportView
+
+    @property
+    def surfaces(self) -> VisibleSurfaces:
+        """What is lit directly."""
+        return self.samples
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -147,26 +152,22 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         transport = self.precomputed.transport.sharded(mesh)
         return IndirectRelighter(PrecomputedIndirect(transport, dataclasses.replace(cloud, between=between)))
 
-    def view(self, camera: Camera | None = None, direct_samples: int | None = None) -> IndirectView:
+    def view(self, camera: Camera | None = None, antialiasing: int = 1) -> IndirectView:
         """What the scene's camera sees.
 
         Args:
             camera: the scene's, or none.
-            direct_samples: samples of direct light along each side of a pixel; by default the store's dial.
+            antialiasing: samples of surfaces and of their direct light in a pixel: 1, 4 or 16. Each takes the indirect
+                light of the pixel that it is most like.
 
         Raises:
-            InputError: for another camera than the scene's.
+            InputError: for another camera than the scene's, or another number of samples.
         """
         if camera is not None and camera != self.camera:
             raise InputError("this scene was precomputed for one camera; prepare the scene with another one instead")
         geometry, camera = self.precomputed.stored.geometry, self.camera
         pixels = self.pixels.view()
-        fine = with_samples(camera, direct_samples or self.method.direct_samples)
-        samples, gbuffer = trace_view(geometry, fine, self.materials)
-        angle = 2 * np.tan(np.radians(camera.fov_y) / 2) / camera.height
-        assert geometry.visible is not None
-        eye = geometry.surfaces.to_scene(np.asarray(camera.origin))
-        return IndirectView(samples, pixels, as_array(nearest_pixels(gbuffer, geometry.visible, eye, float(angle))))
+        return IndirectView(*samples_of_pixels(geometry, camera, self.materials, samples_along(antialiasing)), pixels)
 
     def light(self, lights: LightsLike, bounces: int | None = None) -> IndirectLight:
         """Light of the cloud with all bounces. Shadow rays from its points are cast on the host, or by a callback.
@@ -341,7 +342,7 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         """The environment where samples show no surface."""
         if lit.environment is None:
             return jnp.zeros((*view.shape, 3), view.samples.u.dtype)
-        return averaged(behind(view.samples.background(lit.environment), view.samples.covered), _factor(view))
+        return behind(view.samples.background(lit.environment), view.samples.covered, _factor(view))
 
     def _direct(self, lit: IndirectLight, view: IndirectView, traced: Visibility) -> Float[Array, "h w 3"]:
         direct = shade_lights(self.materials, view.samples, lit.groups, traced)

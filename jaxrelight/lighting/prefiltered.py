@@ -20,7 +20,8 @@ from jaxrelight.brdf.sub_lobes import PATTERNS, sub_lobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
+from jaxrelight.lighting.antialiasing import samples_along
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.filtered_lobes import Horizon, LobeMean, lobe_radiance
@@ -70,9 +71,10 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
         """The scene's own lights."""
         return self.own_lights
 
-    def view(self, camera: Camera | None = None) -> VisibleSurfaces:
+    def view(self, camera: Camera | None = None, antialiasing: int = 1) -> VisibleSurfaces:
         """What a camera sees; by default the scene's. Traces its rays on the host."""
-        seen, gbuffer = trace_view(self.geometry, camera or self.camera, self.materials)
+        factor = samples_along(antialiasing)
+        seen, gbuffer = trace_view(self.geometry, camera or self.camera, self.materials, factor=factor)
         if self.occlusion is None:
             return seen
         vertices = np.where(gbuffer.back[:, None], self.geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
@@ -119,8 +121,12 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
         traced = self.trace(lit, view) if traced is None else traced
         under = self._under_environment(lit, view)
         direct = shade_lights(self.materials, view, lit.groups, traced, self.method.texels)
-        image = image_of((under, direct, view.emission(self.materials)), view.covered)
+        image = image_of((under, direct, view.emission(self.materials)), view.covered, view.factor)
         return self._measuring(image, lit, view)
+
+    def samples_of(self, view: VisibleSurfaces) -> VisibleSurfaces:
+        """The view whose pixels are this one's samples."""
+        return view if view.factor == 1 else kept_beside(view, "_samples", lambda: dataclasses.replace(view, factor=1))
 
     def reference(self, view: VisibleSurfaces, samples: int, seed: int) -> Reference:
         """Exact transport of the view's pixels, without bounces."""
@@ -166,8 +172,8 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
     def background(self, lit: PrefilteredLight, view: VisibleSurfaces) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""
         if lit.environment is None:
-            return jnp.zeros((*view.shape, 3), view.u.dtype)
-        return behind(view.background(lit.environment), view.covered)
+            return jnp.zeros((*view.picture_shape, 3), view.u.dtype)
+        return behind(view.background(lit.environment), view.covered, view.factor)
 
 
 def shade_environment(

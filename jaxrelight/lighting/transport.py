@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.lobes import LobeSum
@@ -21,7 +21,8 @@ from jaxrelight.brdf.texture import Weight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
+from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels, pixel_angle, samples_along
+from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.exact_receivers import ExactAtVertices
@@ -61,7 +62,7 @@ from jaxrelight.operators.contract import Operator, Summed
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import rebake as baking
 from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Block, PrecomputedTransport
+from jaxrelight.transport.model import Block, PrecomputedTransport, SceneGeometry
 
 # Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
 LightTerms = tuple[Float[Array, "*n _ _ _"], ...]
@@ -74,16 +75,25 @@ class TransportView(eqx.Module):
         surfaces: what it sees.
         corners: the receivers of each part's pixels.
         shares: the visible shares of lobes that were traced, by part and the transport's lobes; None for others.
+        samples: of pixels that are receivers, what several in each of them see; None where what is shaded is seen.
+        nearest: of every sample the pixel whose radiance it takes; −1 where it shows no surface.
     """
 
     surfaces: VisibleSurfaces
     corners: tuple[Corners, ...]
     shares: tuple[tuple[Float[Array, "p l c1 j"] | None, ...], ...]
+    samples: VisibleSurfaces | None = None
+    nearest: Int[Array, "fh fw"] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
-        """(height, width)."""
-        return self.surfaces.shape
+        """(height, width) of the picture."""
+        return self.surfaces.picture_shape
+
+    @property
+    def shown(self) -> VisibleSurfaces:
+        """What local lights light, and what covers the background."""
+        return self.surfaces if self.samples is None else self.samples
 
     def taken(self, chosen: Int[np.ndarray, " s"]) -> "TransportView":
         """A view of some of the pixels alone; see `VisibleSurfaces.taken`."""
@@ -183,22 +193,44 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         )
         return TransportRelighter(dataclasses.replace(self.transport, lobes=replaced))
 
-    def view(self, camera: Camera | None = None) -> TransportView:
+    def view(self, camera: Camera | None = None, antialiasing: int = 1) -> TransportView:
         """What a camera sees; by default the scene's.
 
+        Args:
+            camera: any; by default the scene's.
+            antialiasing: samples of surfaces in a pixel: 1, 4 or 16. Between vertices, all light is that of samples.
+                Where receivers are pixels, samples have coverage and local lights of their own, and take the radiance
+                of the pixel that they are most like; those that are like none do not count.
+
         Raises:
-            InputError: for another camera than the scene's where receivers are pixels.
+            InputError: for another camera than the scene's where receivers are pixels, or another number of samples.
         """
-        own = self.camera
+        own, factor = self.camera, samples_along(antialiasing)
         camera = camera or own
         if self.transport.method.receivers == "pixels" and camera != own:
             raise InputError(
-                "this scene was precomputed for the pixels of one camera; "
-                "for other views precompute with receivers 'vertices' (--receivers vertices)"
+                "this scene was precomputed for the pixels of one camera; for other views precompute with receivers "
+                "'vertices' (--receivers vertices), which any camera sees at no cost"
             )
-        surfaces, corners = _traced_view(self.transport, self.materials, camera)
+        of_pixels = self.transport.method.receivers == "pixels"
+        surfaces, corners = _traced_view(self.transport, self.materials, camera, 1 if of_pixels else factor)
         shares = tuple(self._traced_shares(part, surfaces) for part in surfaces.parts)
-        return TransportView(surfaces, corners, shares)
+        view = TransportView(surfaces, corners, shares)
+        if not of_pixels or factor == 1:
+            return view
+        samples, nearest = samples_of_pixels(self.transport.geometry, camera, self.materials, factor)
+        samples = dataclasses.replace(samples, covered=nearest >= 0)
+        return dataclasses.replace(view, samples=samples, nearest=nearest)
+
+    def samples_of(self, view: TransportView) -> TransportView:
+        """The view whose pixels are those that are shaded: samples between vertices, or receivers."""
+        if view.nearest is None and view.surfaces.factor == 1:
+            return view
+
+        def shaded() -> TransportView:
+            return TransportView(dataclasses.replace(view.surfaces, factor=1), view.corners, view.shares)
+
+        return kept_beside(view, "_samples", shaded)
 
     def _traced_shares(self, part: SurfacePart, surfaces: VisibleSurfaces) -> tuple[Array | None, ...]:
         """What is visible of the lobes of one part's pixels, of those that views trace."""
@@ -300,7 +332,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
 
     def trace(self, lit: TransportLight, view: TransportView, *, report: Report | None = None) -> Visibility:
         """Shadow rays from pixels towards local lights."""
-        return trace_visibility(view.surfaces.points, lit.groups)
+        return trace_visibility(view.shown.points, lit.groups)
 
     def shade(
         self,
@@ -312,9 +344,14 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     ) -> Image:
         """Radiance of every pixel: light terms closed by the view, filtered lobes, local lights, and emission."""
         traced = self.trace(lit, view) if traced is None else traced
-        direct = shade_lights(self.materials, view.surfaces, lit.groups, traced)
-        parts = self.shade_terms(lit.terms, view), self.shade_lobes(lit, view), direct
-        return self._measuring(image_of(parts, view.surfaces.covered), lit, view)
+        shown = view.shown
+        direct = shade_lights(self.materials, shown, lit.groups, traced)
+        own = self._shaded_terms(lit.terms, view, self._weights), self._shaded_lobes(lit, view)
+        if view.nearest is None:
+            image = image_of((*own, direct), shown.covered, shown.factor)
+        else:
+            image = _image_of_samples(own, direct, shown.covered, view.nearest)
+        return self._measuring(image, lit, view)
 
     def reference(self, view: TransportView, samples: int, seed: int) -> Reference:
         """Exact transport of the view's pixels, without bounces."""
@@ -359,6 +396,10 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
 
         Differentiable in the environment's maps, turn and scale, and in the lobes; None where there are none.
         """
+        radiance = self._shaded_lobes(lit, view)
+        return None if radiance is None else _in_picture(radiance, view)
+
+    def _shaded_lobes(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"] | None:
         environment, maps = lit.environment, lit.maps
         if maps is None or environment is None:
             return None
@@ -389,7 +430,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         if self.method.split_sun and self.method.coefficients != "all" and not self.method.bounces:
             light = _split(texels_of(environment, self.method.resolution), self.transport.basis)[0]
         bounds = tuple(_largest_errors(block.dropped, light, block) for block in self.transport.blocks)
-        return self._shaded_terms(bounds, view, tuple(block.weight for block in self.transport.blocks), bound=True)
+        return _in_picture(self._shaded_terms(bounds, view, self._weights, bound=True), view)
 
     def shade_terms(
         self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...] | None = None
@@ -405,8 +446,12 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             view: from `view`.
             weights: of the blocks; by default those that they have.
         """
-        weights = tuple(block.weight for block in self.transport.blocks) if weights is None else weights
-        return self._shaded_terms(terms, view, weights)
+        return _in_picture(self._shaded_terms(terms, view, self._weights if weights is None else weights), view)
+
+    @property
+    def _weights(self) -> tuple[Weight, ...]:
+        """Of the blocks."""
+        return tuple(block.weight for block in self.transport.blocks)
 
     def _shaded_terms(
         self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...], *, bound: bool = False
@@ -430,10 +475,10 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
 
     def background(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"]:
         """The environment where no surface is seen."""
-        surfaces = view.surfaces
+        surfaces = view.shown
         if lit.environment is None:
             return jnp.zeros((*view.shape, 3), surfaces.u.dtype)
-        return behind(surfaces.background(lit.environment), surfaces.covered)
+        return behind(surfaces.background(lit.environment), surfaces.covered, surfaces.factor)
 
 
 def _material(name: str, transport: PrecomputedTransport) -> SurfaceMaterial:
@@ -445,11 +490,11 @@ def _material(name: str, transport: PrecomputedTransport) -> SurfaceMaterial:
 
 
 def _traced_view(
-    transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera
+    transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera, factor: int
 ) -> tuple[VisibleSurfaces, tuple[Corners, ...]]:
     """Traces a camera's rays and finds each pixel's receivers; what the camera of pixel receivers sees is known."""
     geometry, receivers = transport.geometry, transport.receivers
-    surfaces, gbuffer = trace_view(geometry, camera, materials, geometry.visible)
+    surfaces, gbuffer = trace_view(geometry, camera, materials, geometry.visible, factor=factor)
     vertices = transport.method.receivers == "vertices"
     corners = np.where(gbuffer.back[:, None], geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
     slots = receivers.slot_of[corners] if vertices else receivers.slot_of[:, None]
@@ -457,6 +502,46 @@ def _traced_view(
     first = {part.material: part.first_group * GROUP for part in (*transport.blocks, *transport.lobes)}
     starts = [first[materials[part.material].name] for part in surfaces.parts]
     return surfaces, corners_of(surfaces, gbuffer, slots, weights, starts)
+
+
+def samples_of_pixels(
+    geometry: SceneGeometry, camera: Camera, materials: tuple[SurfaceMaterial, ...], factor: int
+) -> tuple[VisibleSurfaces, Int[Array, "fh fw"]]:
+    """What several samples of each pixel see, and of every sample the pixel that it is most like; see `nearest_pixels`.
+
+    Args:
+        geometry: whose camera's pixels are known.
+        camera: that one.
+        materials: of the relighter.
+        factor: samples along each side of a pixel.
+    """
+    assert geometry.visible is not None
+    samples, gbuffer = trace_view(geometry, camera, materials, factor=factor)
+    eye = geometry.surfaces.to_scene(np.asarray(camera.origin))
+    return samples, as_array(nearest_pixels(gbuffer, geometry.visible, eye, pixel_angle(camera)))
+
+
+def _in_picture(radiance: Float[Array, "fh fw c"], view: TransportView) -> Float[Array, "h w c"]:
+    """Radiance of what is shaded, as the picture's pixels have it."""
+    if view.nearest is not None:
+        return joined(jnp.zeros((*view.nearest.shape, radiance.shape[-1]), radiance.dtype), radiance, view.nearest)
+    factor = view.surfaces.factor
+    return averaged(radiance, factor) if factor > 1 else radiance
+
+
+@jax.jit
+def _image_of_samples(
+    own: Sequence[Float[Array, "h w 3"] | None],
+    direct: Float[Array, "fh fw 3"] | None,
+    covered: Bool[Array, "fh fw"],
+    nearest: Int[Array, "fh fw"],
+) -> Image:
+    """The picture of what pixels have of their own, which samples take from them, and of samples' direct light."""
+    first, *others = [part for part in own if part is not None]
+    radiance = sum(others, first)
+    direct = jnp.zeros((*covered.shape, 3), radiance.dtype) if direct is None else direct
+    alpha = averaged(covered.astype(radiance.dtype)[..., None], covered.shape[0] // radiance.shape[0])
+    return Image(joined(jnp.where(covered[..., None], direct, 0), radiance, nearest), alpha[..., 0])
 
 
 @jax.jit

@@ -138,6 +138,7 @@ class VisibleSurfaces(eqx.Module):
         v: the same, downwards.
         corners: the vertices of each part's pixels, where a method asks for them.
         map_rows: rows of a lat-long map whose cells are about as large as the pixels, a power of two.
+        factor: so many along each side are the samples of one pixel of the picture.
     """
 
     parts: tuple[SurfacePart, ...]
@@ -148,11 +149,26 @@ class VisibleSurfaces(eqx.Module):
     v: Float[Array, "h w"]
     corners: tuple[Corners, ...] = ()
     map_rows: int = eqx.field(static=True, default=1 << 30)
+    factor: int = eqx.field(static=True, default=1)
 
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return self.covered.shape  # pyright: ignore[reportReturnType]
+
+    @property
+    def picture_shape(self) -> tuple[int, int]:
+        """(height, width) of the picture."""
+        return self.shape[0] // self.factor, self.shape[1] // self.factor
+
+    def behind_share(self) -> float:
+        """The share of what is seen whose shading normal faces away from the eye: backs of faces, which are black."""
+        behind = count = 0
+        for part in self.parts:
+            real = np.asarray(part.pixels.pixel) < self.covered.size
+            behind += np.count_nonzero(np.asarray(part.pixels.omega_o)[real, 2] <= 0)
+            count += np.count_nonzero(real)
+        return behind / max(count, 1)
 
     @property
     def pixels(self) -> Int[np.ndarray, " n"]:
@@ -233,7 +249,12 @@ def _background(pixels: Float[Array, "h w 3"], rotate_y, scale, u, v):
 
 
 def trace_view(
-    geometry: SceneGeometry, camera: Camera, materials: Sequence[SurfaceMaterial], gbuffer: GBuffer | None = None
+    geometry: SceneGeometry,
+    camera: Camera,
+    materials: Sequence[SurfaceMaterial],
+    gbuffer: GBuffer | None = None,
+    *,
+    factor: int = 1,
 ) -> tuple[VisibleSurfaces, GBuffer]:
     """Traces a camera's rays. On the host.
 
@@ -241,12 +262,13 @@ def trace_view(
         geometry: of the scene.
         camera: any.
         materials: of the relighter, in its order; meshes of others are black.
-        gbuffer: what is known to be seen already.
+        gbuffer: what is known to be seen already, at the samples of pixels.
+        factor: samples along each side of a pixel.
 
     Returns:
         What is seen, by material, and the surface points behind it.
     """
-    surfaces = geometry.surfaces
+    surfaces, camera = geometry.surfaces, with_samples(camera, factor)
     if gbuffer is None:
         gbuffer = see(surfaces, geometry.tracer, camera, geometry.normal_maps or [None] * len(surfaces.two_sided))
     names = [material.name for material in materials]
@@ -289,7 +311,7 @@ def trace_view(
     place = places([part.pixels for part in parts], gbuffer.covered.size)
     # A row of a map is as high as a pixel of the middle of the picture, or lower.
     map_rows = 1 << int(np.ceil(np.log2(np.pi / np.sqrt(camera.solid_angles().max()))))
-    return VisibleSurfaces(tuple(parts), points, place, covered, u, v, map_rows=map_rows), gbuffer
+    return VisibleSurfaces(tuple(parts), points, place, covered, u, v, map_rows=map_rows, factor=factor), gbuffer
 
 
 def corners_of(

@@ -137,8 +137,8 @@ def antialiasing(report: Report, mesh: str, material: str, size: int):
 
 def _frame(scene: jr.Scene, lit: AdaptiveLight, factor: int) -> tuple[jr.Image, int]:
     """A picture, and how many samples show a surface."""
-    relighter = prepared(scene, tolerance=FRAME_TOLERANCE, antialiasing=factor**2, shadows=False)
-    view = relighter.view()
+    relighter = prepared(scene, tolerance=FRAME_TOLERANCE, shadows=False)
+    view = relighter.view(antialiasing=factor**2)
     return relighter.shade(lit, view), view.covered_count()
 
 

@@ -190,7 +190,8 @@ def test_surfaces_that_emit_need_no_environment(folder, run):
 
 
 def test_render_then_again(folder, run):
-    first = summary_of(run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS, "--json"))
+    hard = "--antialiasing", "1"
+    first = summary_of(run("render", "scene.toml", "-o", "a.exr", "--store", "made", *DIALS, *hard, "--json"))
     assert first["rays"] > 0
     assert all(seconds >= 0 for seconds in first["seconds"].values())
     assert set(first["bytes"]) == {"geometry", "environment", "visibility", "factors", "transport"}
@@ -220,7 +221,7 @@ def test_render_then_again(folder, run):
     assert first["receivers"] == image[..., 3].sum()
     assert first["mean_radiance"] == pytest.approx(image[image[..., 3] == 1][:, :3].mean(), rel=1e-5)
 
-    again = summary_of(run("render", "scene.toml", "-o", "b.exr", "--store", "made", *DIALS, "--json"))
+    again = summary_of(run("render", "scene.toml", "-o", "b.exr", "--store", "made", *DIALS, *hard, "--json"))
     assert again["rays"] == 0
     assert pathlib.Path("a.exr").read_bytes() == pathlib.Path("b.exr").read_bytes()
 
@@ -285,7 +286,7 @@ def test_relight(folder, run, made):
     assert np.abs(relit("--env", "other.hdr") - plain)[surface][:, :3].min() > 0
     bare = relit("--background", "none")
     np.testing.assert_array_equal(bare[surface], plain[surface])
-    assert not bare[~surface].any()
+    assert not bare[plain[..., 3] == 0].any()
     moved = relit(
         "--origin", "1", "2", "2", "--target", "0", "0", "0", "--fov-y", "30", "--width", "9", "--height", "7"
     )

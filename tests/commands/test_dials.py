@@ -34,7 +34,6 @@ SET: dict[str, dict[str, tuple[str, object]]] = {
     "indirect": {
         "gather_samples": ("--gather-samples 64", 64),
         "bounces": ("--bounces 1", 1),
-        "direct_samples": ("--direct-samples 3", 3),
         "sky": ("--sky", True),
         "sky_samples": ("--sky-samples 5", 5),
         "coefficients": ("--coefficients 17", 17),
@@ -58,7 +57,6 @@ SET: dict[str, dict[str, tuple[str, object]]] = {
     "adaptive": {
         "tolerance": ("--tolerance 0.1", 0.1),
         "samples": ("", None),
-        "antialiasing": ("--antialiasing 4", 4),
         "shadows": ("--no-shadows", False),
         "minification": ("--minification none", "none"),
         "exposure": ("--exposure 1", 1.0),
@@ -162,7 +160,7 @@ INDIRECT = "; this scene has local lights alone, so the lighting method is indir
         ("render sky.toml --lighting adaptive --photons 8", "--photons is a dial of --lighting indirect"),
         ("render sky.toml --lighting adaptive --layers", "--layers is a dial of --lighting indirect"),
         ("render sky.toml --lighting adaptive --map_rows 64", "--map-rows is a dial of --lighting prefiltered"),
-        ("render sky.toml --antialiasing 4", "--antialiasing is a dial of --lighting adaptive" + TRANSPORT),
+        ("render sky.toml --tolerance 0.1", "--tolerance is a dial of --lighting adaptive" + TRANSPORT),
         ("render both.toml --maps m", "--maps is a dial of --lighting adaptive" + TRANSPORT),
         ("render dark.toml --seed 1", "--seed is a dial of --lighting indirect or adaptive" + TRANSPORT),
         ("render sky.toml --no-shadows", "--no-shadows is a dial of --lighting prefiltered or adaptive" + TRANSPORT),

@@ -31,7 +31,7 @@ def test_lamps_of_a_store_are_moved_and_replaced(tmp_path):
     own = picture("relight", "made")
     (tmp_path / "moved.toml").write_text(LAMP.replace("[1, 1.2, -1.5]", "[-1, 1.2, -1.5]"))
     moved = picture("relight", "made", "--lights", "moved.toml")
-    assert np.abs(moved - own).max() > 0.1
+    assert np.abs(moved - own).max() > 0.05
     np.testing.assert_array_equal(picture("relight", "made", "--lights", "both.toml"), own)
     # Twice the lamp by itself, and the sky turned off.
     (tmp_path / "twice.toml").write_text(2 * LAMP)
@@ -42,6 +42,5 @@ def test_lamps_of_a_store_are_moved_and_replaced(tmp_path):
 
 def test_options_of_other_stores_are_refused():
     assert run("precompute", "lamp.toml", "-o", "made", "--lighting", "transport", *DIALS)[0] == 0
-    for option in (["--direct-samples", "2"], ["--layers"]):
-        refused = refusal_of(run("relight", "made", "-o", "out.exr", *option))
-        assert "--layers and --direct-samples are for stores of --lighting indirect" in refused
+    refused = refusal_of(run("relight", "made", "-o", "out.exr", "--layers"))
+    assert "--layers are for stores of --lighting indirect" in refused

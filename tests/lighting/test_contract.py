@@ -252,7 +252,7 @@ def test_many_lights_are_shaded_in_one_batch(relighter, traced_once):
 
 FLAT = {
     "transport": Transport(resolution=32, coefficients="all"),
-    "indirect": Indirect(gather_samples=64, bounces=1, sky_samples=2304, direct_samples=1, compression_tolerance=0.0),
+    "indirect": Indirect(gather_samples=64, bounces=1, sky_samples=2304, compression_tolerance=0.0),
     "prefiltered": Prefiltered(map_rows=32),
     "adaptive": Adaptive(samples=1024),
 }

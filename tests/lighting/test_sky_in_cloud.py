@@ -56,7 +56,7 @@ def test_all_light_of_a_map_is_in_one_direction_or_another():
 
 @pytest.mark.parametrize("bounces", [pytest.param(1, marks=pytest.mark.slow), 3])
 def test_the_picture_is_that_of_many_lights(object_outdoors, bounces):
-    sky, view = gradient(), object_outdoors.view(direct_samples=1)
+    sky, view = gradient(), object_outdoors.view()
     image, wanted = (
         np.asarray(object_outdoors.shade(object_outdoors.light(lights, bounces), view).radiance)
         for lights in (sky, sky_of(sky, 100))

@@ -191,9 +191,9 @@ def test_turning_the_sky_shifts_its_columns(relighter: TransportRelighter):
     view = relighter.view()
     turned = _picture(relighter, jr.environment(SKY, rotate_y=90), view)
     rolled = _picture(relighter, jr.environment(np.roll(SKY, -4, axis=1)), view)
-    np.testing.assert_allclose(turned, rolled, rtol=1e-6)
+    np.testing.assert_allclose(turned, rolled, rtol=1e-4)
     for degrees in (450, -270):
-        np.testing.assert_allclose(_picture(relighter, jr.environment(SKY, rotate_y=degrees), view), turned, rtol=1e-6)
+        np.testing.assert_allclose(_picture(relighter, jr.environment(SKY, rotate_y=degrees), view), turned, rtol=1e-4)
     assert _relative(turned, _picture(relighter, jr.environment(SKY), view)) > 0.1
 
 

@@ -18,7 +18,7 @@ from jaxrelight.transport.rebake import exact, rebake
 from tests.scenes import ball_over_floor
 from tests.transport.stores import reflections_of
 
-METHOD = jr.Indirect(gather_samples=64, bounces=2, direct_samples=1)
+METHOD = jr.Indirect(gather_samples=64, bounces=2)
 LAMP = jr.point([0.2, 1.5, 0.5], [3.0, 2.0, 1.0])
 
 
@@ -87,7 +87,6 @@ def test_rows_that_are_not_of_visibility_are_not_baked_again(precomputed):
         ({"peak": 0.1}, {"indirect"}),
         ({"bounces": 1}, set()),
         ({"bounces": 5}, set()),
-        ({"direct_samples": 4}, set()),
         ({"sky_samples": 16}, set()),
     ],
     ids=lambda value: str(value) if isinstance(value, dict) else "",

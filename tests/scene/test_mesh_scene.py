@@ -5,6 +5,7 @@ import pytest
 
 from jaxrelight import InputError
 from jaxrelight.geometry.mesh import joint_bounds
+from jaxrelight.lights.local import Point
 from jaxrelight.scene.mesh_scene import open_scene, scene_of_mesh
 from tests.geometry.test_mesh import FILES, written
 
@@ -91,6 +92,7 @@ def test_rooms_are_seen_from_inside(tmp_path):
     assert "seen from inside, as its walls face inwards, under a built-in sky and a lamp near the ceiling" in notes
     assert "100% of what is seen are backs of faces; taken as two-sided" in notes
     (lamp,) = scene.lights.local
+    assert isinstance(lamp, Point)
     assert eye[1] < np.asarray(lamp.position)[1] < 0.375
     assert scene.parts[0].mesh.two_sided
 

@@ -29,7 +29,7 @@ from jaxrelight.lighting.adaptive.prediction import Prediction, directions, draw
 from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
 from jaxrelight.lighting.adaptive.trials import Trials, calibrate, try_noise
 from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
-from jaxrelight.lighting.antialiasing import averaged
+from jaxrelight.lighting.antialiasing import samples_along
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.picture_error import Pictured, PictureError
@@ -156,9 +156,9 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         """The scene's own lights."""
         return self.own_lights
 
-    def view(self, camera: Camera | None = None) -> AdaptiveView:
+    def view(self, camera: Camera | None = None, antialiasing: int = 1) -> AdaptiveView:
         """What a camera sees; by default the scene's. Traces its rays on the host."""
-        return make_view(self.geometry, camera or self.camera, self.materials, self.method.samples_per_side)
+        return make_view(self.geometry, camera or self.camera, self.materials, samples_along(antialiasing))
 
     def light(self, lights: LightsLike) -> AdaptiveLight:
         """Means of the environment over ever larger cells; its sun joins the local lights."""
@@ -312,7 +312,7 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         surfaces = view.surfaces
         if lit.environment is None:
             return jnp.zeros((*view.shape, 3), surfaces.u.dtype)
-        return averaged(behind(surfaces.background(lit.environment), surfaces.covered), view.factor)
+        return behind(surfaces.background(lit.environment), surfaces.covered, view.factor)
 
     def predicted(
         self, lit: AdaptiveLight, view: AdaptiveView, samples: int = PREDICTING_SAMPLES

@@ -101,8 +101,7 @@ def make_view(
         materials: of the relighter.
         factor: samples of the surface along each side of a pixel.
     """
-    fine = with_samples(camera, factor)
-    surfaces, gbuffer = trace_view(geometry, fine, materials)
+    surfaces, gbuffer = trace_view(geometry, camera, materials, factor=factor)
     shape = image_bucket(surfaces.shape[0]), image_bucket(surfaces.shape[1])
     size, (rows, columns) = math.prod(shape), surfaces.shape
     places = []
@@ -128,7 +127,7 @@ def make_view(
         bend, distance = (jax.device_put(filled_up(x, length)) for x in (bend, distance))
         lit = jax.device_put(filled_up(int(part.start) + chosen, length, -1))
         probes.append(Probe(pixels, bend, distance, lit))
-    angle = as_array(np.sqrt(fine.solid_angles().max()), np.float32)
+    angle = as_array(np.sqrt(with_samples(camera, factor).solid_angles().max()), np.float32)
     return AdaptiveView(surfaces, tuple(probes), tuple(places), angle, factor, shape)
 
 

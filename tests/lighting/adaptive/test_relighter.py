@@ -349,8 +349,8 @@ def test_a_wire_one_pixel_wide_is_not_lost():
 def test_several_samples_of_surfaces_in_a_pixel(factor: int, monkeypatch):
     """The mean over them has the error that was asked for, and takes not as many times the samples."""
     monkeypatch.setattr(module, "planning_pays", lambda *_, **__: True)
-    one = of_scene(tolerance=0.01, shadows=False, antialiasing=factor**2)
-    mine = one.view()
+    one = of_scene(tolerance=0.01, shadows=False)
+    mine = one.view(antialiasing=factor**2)
     image = one.shade(sky(), mine)
     assert image.radiance.shape == (40, 48, 3)
     exact = averaged(jnp.asarray(uniform(one, mine, 1024, 7)), factor)
