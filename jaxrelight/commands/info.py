@@ -116,7 +116,7 @@ def _scene(path: pathlib.Path, up: Literal["y", "z"]) -> dict:
     shapes, of_file = [part.mesh for part in scene.parts], None
     if path.suffix.lower() != ".toml":
         # Without the floor that it is put on.
-        shapes = shapes[:-1]
+        shapes = [part.mesh for part in scene.parts if part.material != "floor"]
         of_file = _describe_bounds([part.mesh for part in turned_up(load_parts(path), up)])
     framed = framing(shapes)
     lamp, intensity = lamp_for(framed, shapes)

@@ -363,6 +363,21 @@ def test_other_camera_of_a_store_of_pixels_is_refused(folder, run):
     assert not (folder / "b.exr").exists()
 
 
+def test_a_camera_that_pixel_receivers_are_precomputed_for_is_told(folder, run):
+    said = "with --receivers vertices, one store shows all of them at no cost"
+    assert said in run("render", "scene.toml", "-o", "a.exr", "--fov-y", "50", *DIALS)[2]
+    assert said not in run("render", "scene.toml", "-o", "a.exr", *DIALS)[2]
+    assert said not in run("render", "scene.toml", "-o", "a.exr", "--fov-y", "50", *DIALS, "--receivers", "vertices")[2]
+
+
+def test_backs_of_faces_are_told(folder, run, made):
+    """From inside the ball, which the floor cuts in half."""
+    inside = "--origin", "0", "0", "0.1", "--target", "0", "0", "0"
+    said = "% of what is seen are backs of faces, which are black; put the camera between the walls"
+    assert said in run("relight", "made", "-o", "a.exr", *inside)[2]
+    assert "backs of faces" not in run("relight", "made", "-o", "a.exr")[2]
+
+
 def test_render_with_another_camera(folder, run):
     summary = summary_of(
         run("render", "scene.toml", "-o", "a.exr", "--origin", "0", "2", "2", "--width", "8", *DIALS, "--json")
@@ -416,7 +431,7 @@ def test_a_mesh_alone(folder, run):
     """Precomputed, rendered under a sky that is named or not, and told of; what was assumed is told too."""
     pathlib.Path("thing.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     told = summary_of(run("info", "thing.obj", "--json"))["meshes"]["0:thing.obj"]
-    assert told == {"vertices": 4, "faces": 4, "material": "plaster"}
+    assert told == {"vertices": 12, "faces": 4, "material": "plaster"}
     size = ("--width", "12", "--height", "10", "--resolution", "8")
     result = run("render", "thing.obj", "-o", "own.exr", *size, "--json")
     assert 0.2 < summary_of(result)["covered"] < 1
