@@ -73,7 +73,7 @@ print(f"precomputed in {time.perf_counter() - start:.1f} s")
 # `shade` adds direct light to what the pixels get of it. Without bounces, direct light alone is left.
 
 # %%
-view = relighter.view()
+view = relighter.view(antialiasing=4)
 lamp = jr.point([-1.2, 1.9, 0.2], [3.0, 2.7, 2.2])
 behind = jr.point([-1.5, 0.5, -1.5], [3.0, 2.7, 2.2])
 upwards = jr.spot([1.4, 0.3, 0.8], [1.6, 2.4, -0.4], [9.0, 8.0, 6.5], 30.0)

@@ -41,7 +41,7 @@ print(f"{relighter.transport.receivers.count:,} receivers, {time.perf_counter() 
 
 # %%
 relighter = jr.open_store(folder / "store")
-view = relighter.view()
+view = relighter.view(antialiasing=4)
 sky = scene.lights.environment
 turned = sky.with_(rotate_y=40.0)
 lit = relighter.light(turned)
