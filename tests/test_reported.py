@@ -142,3 +142,12 @@ def test_a_closed_leaf_alone_has_no_black_pixels(tmp_path):
         shared("data", "reported", "w1_leaf", "q.obj"), tmp_path, "--resolution", "8", "--width", "96", "--height", "96"
     )
     assert (pixels.max(axis=-1) == 0).mean() < 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", ["--lighting prefiltered", "--lighting transport --resolution 8"])
+def test_a_leaf_of_faces_and_their_reverses_is_black_nowhere(tmp_path, options: str):
+    leaf = shared("data", "reported", "w1_leaf", "q.obj")
+    pixels, said = picture(leaf, tmp_path, *options.split(), "--width", "64", "--height", "64")
+    assert pixels.max(axis=2).min() > 0.02 * np.median(pixels)
+    assert "backs of faces" not in said
