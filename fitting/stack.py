@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 from jaxrelight.errors import InputError
 
@@ -180,7 +181,7 @@ def _from_texels(
     return positions - (texels[chosen] if is_mask else texels.reshape(-1, 3)[chosen])[:, None]
 
 
-def array_of(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
+def array_of(name: str, what: str, values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Finite numbers of a shape; InputError for others, which says what they are."""
     try:
         array = np.asarray(values, float)
@@ -193,7 +194,7 @@ def array_of(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray
     return array
 
 
-def directions(name: str, what: str, values, shape: tuple[int, ...]) -> np.ndarray:
+def directions(name: str, what: str, values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Unit vectors in the direction of others."""
     array = array_of(name, what, values, shape)
     length = np.linalg.norm(array, axis=-1, keepdims=True)

@@ -5,12 +5,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrelight.brdf.reflection import Reflection
-from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.brdf.texture import PixelWeight, look_up
 
 
 def outgoing(
     reflection: Reflection,
-    weight: Weight,
+    weight: PixelWeight,
     omega_o: Float[Array, "p 3"],
     uv: Float[Array, "p u"],
     footprint: Float[Array, " p"],

@@ -7,7 +7,7 @@ scene has colours, the three channels of the colour. `jaxrelight.geometry.surfac
 
 import dataclasses
 import functools
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -79,28 +79,7 @@ class Texture(eqx.Module):
 
     def coordinates(self, uv: Float[Array | np.ndarray, "*p u"]) -> Float[Array | np.ndarray, "*p 2"]:
         """(u, v) in the image, of surface coordinates that lead with any axes."""
-        first = _first_column(self.uv_set)
-        if uv.shape[-1] < first + 2:
-            raise InputError(
-                f"a texture needs set {self.uv_set} of texture coordinates; add it to the mesh, or take set 0"
-            )
-        place = uv if uv.shape[-1] == 2 else uv[..., first : first + 2]
-        if self.placement is None:
-            return place
-        u, v, placement = place[..., 0], place[..., 1], as_array(self.placement, place.dtype)
-        if isinstance(uv, np.ndarray):
-            placement = np.asarray(self.placement, uv.dtype)
-        rows = [placement[i, 0] * u + placement[i, 1] * v + placement[i, 2] for i in (0, 1)]
-        return (np if isinstance(uv, np.ndarray) else jnp).stack(rows, axis=-1)
-
-    def _own_footprint(self, uv: Float[Array, " u"], footprint: Footprint) -> Footprint:
-        """The area in the image of what covers an area in the first set of texture coordinates."""
-        if self.uv_set:
-            footprint = footprint * uv[_first_column(self.uv_set) + 2]
-        if self.placement is not None:
-            (a, b), (c, d) = self.placement[0, :2], self.placement[1, :2]
-            footprint = footprint * jnp.abs(a * d - b * c)
-        return footprint
+        return image_coordinates(uv, self.placement, self.uv_set)
 
     @jax.jit
     def look_up(self, uv: Float[Array, " u"], footprint: Footprint = 0.0) -> Float[Array, " c"]:
@@ -117,11 +96,11 @@ class Texture(eqx.Module):
         """The texels that `look_up` reads, four of a level, each with its weight."""
         h, w, c = self.pixels.shape
         finest = jnp.asarray(self.pixels).reshape(h * w, c)
-        place, footprint = self.coordinates(uv), self._own_footprint(uv, footprint)
-        x, y = _wrapped(place[0], self.wrap[0]) * w, (1 - _wrapped(place[1], self.wrap[1])) * h
+        place, footprint = self.coordinates(uv), image_footprint(uv, footprint, self.placement, self.uv_set)
+        x, y = wrapped(place[0], self.wrap[0]) * w, (1 - wrapped(place[1], self.wrap[1])) * h
         if self.coarser is None:
-            return [(_read(finest, place), weight) for place, weight in _four(x, y, h, w, self.wrap)]
-        sizes = _sizes(h, w, len(self.coarser))
+            return [(read_texel(finest, place), weight) for place, weight in four_texels(x, y, h, w, self.wrap)]
+        sizes = level_sizes(h, w, len(self.coarser))
         starts = np.cumsum([0, *(rows * columns for rows, columns in sizes[1:])])[:-1]
         level = 0.5 * jnp.log2(jnp.clip(footprint * (h * w), 1, 4.0 ** (len(sizes) - 1)))
         lower = jnp.minimum(jnp.floor(level), len(sizes) - 2).astype(jnp.int32)
@@ -130,18 +109,50 @@ class Texture(eqx.Module):
 
         def of_level(number):
             scale = jnp.exp2(-number.astype(x.dtype))
-            return _four(x * scale, y * scale, table[number, 0], table[number, 1], self.wrap)
+            return four_texels(x * scale, y * scale, table[number, 0], table[number, 1], self.wrap)
 
         texels = []
         for place, weight in of_level(lower):
             # The finest level is read only where it is the lower one; elsewhere both reads are of `coarser`.
-            first = _read(finest, jnp.where(lower == 0, place, 0))
-            other = _read(coarser, jnp.where(lower == 0, 0, at[lower - 1] + place))
+            first = read_texel(finest, jnp.where(lower == 0, place, 0))
+            other = read_texel(coarser, jnp.where(lower == 0, 0, at[lower - 1] + place))
             texels.append((jnp.where(lower == 0, first, other), (1 - share) * weight))
-        return texels + [(_read(coarser, at[lower] + place), share * weight) for place, weight in of_level(lower + 1)]
+        return texels + [
+            (read_texel(coarser, at[lower] + place), share * weight) for place, weight in of_level(lower + 1)
+        ]
 
 
-def _read(texels, place):
+def image_coordinates(
+    uv: Float[Array | np.ndarray, "*p u"], placement: Float[Array | np.ndarray, "2 3"] | None, uv_set: int
+) -> Float[Array | np.ndarray, "*p 2"]:
+    """(u, v) in an image that lies on a surface as a `Texture` says, of surface coordinates."""
+    first = _first_column(uv_set)
+    if uv.shape[-1] < first + 2:
+        raise InputError(f"a texture needs set {uv_set} of texture coordinates; add it to the mesh, or take set 0")
+    place = uv if uv.shape[-1] == 2 else uv[..., first : first + 2]
+    if placement is None:
+        return place
+    u, v, matrix = place[..., 0], place[..., 1], as_array(placement, place.dtype)
+    if isinstance(uv, np.ndarray):
+        matrix = np.asarray(placement, uv.dtype)
+    rows = [matrix[i, 0] * u + matrix[i, 1] * v + matrix[i, 2] for i in (0, 1)]
+    return (np if isinstance(uv, np.ndarray) else jnp).stack(rows, axis=-1)
+
+
+def image_footprint(
+    uv: Float[Array, " u"], footprint: Footprint, placement: Float[Array, "2 3"] | None, uv_set: int
+) -> Footprint:
+    """The area in an image of what covers an area in the first set of texture coordinates."""
+    if uv_set:
+        footprint = footprint * uv[_first_column(uv_set) + 2]
+    if placement is not None:
+        (a, b), (c, d) = placement[0, :2], placement[1, :2]
+        footprint = footprint * jnp.abs(a * d - b * c)
+    return footprint
+
+
+def read_texel(texels: Float[Array, "t c"], place: Int[Array, ""]) -> Float[Array, " c"]:
+    """A texel by its number, which is known to be there."""
     return texels.at[place].get(mode="promise_in_bounds")
 
 
@@ -150,7 +161,7 @@ def _first_column(uv_set: int) -> int:
     return 0 if uv_set == 0 else 3 * uv_set - 1
 
 
-def _wrapped(u: Float[Array, ""], wrap: Wrap) -> Float[Array, ""]:
+def wrapped(u: Float[Array, ""], wrap: Wrap) -> Float[Array, ""]:
     """The place between 0 and 1 in an image that a coordinate shows."""
     if wrap == "clamp":
         return jnp.clip(u, 0, 1)
@@ -161,7 +172,13 @@ def _wrapped(u: Float[Array, ""], wrap: Wrap) -> Float[Array, ""]:
     return u - jnp.floor(u)
 
 
-def _four(x, y, h, w, wrap: tuple[Wrap, Wrap]) -> list[tuple[Int[Array, ""], Float[Array, ""]]]:
+def four_texels(
+    x: Float[Array, ""],
+    y: Float[Array, ""],
+    h: int | Int[Array, ""],
+    w: int | Int[Array, ""],
+    wrap: tuple[Wrap, Wrap],
+) -> list[tuple[Int[Array, ""], Float[Array, ""]]]:
     """Places of the four texels around (x, y), counted in texels from the upper left corner, and their weights."""
 
     def neighbour(number, count, along: Wrap):
@@ -181,7 +198,7 @@ def _four(x, y, h, w, wrap: tuple[Wrap, Wrap]) -> list[tuple[Int[Array, ""], Flo
     ]
 
 
-def _sizes(h: int, w: int, coarser: int) -> list[tuple[int, int]]:
+def level_sizes(h: int, w: int, coarser: int) -> list[tuple[int, int]]:
     """Rows and columns of an image and of the levels that so many texels hold."""
     sizes = [(h, w)]
     while coarser > 0:
@@ -242,6 +259,19 @@ class VertexColours(eqx.Module):
 Weight = tuple[Texture | VertexColours, ...]
 
 
+@runtime_checkable
+class Factor(Protocol):
+    """What is looked up by surface coordinates: a texture as it is or packed, or vertex colours."""
+
+    def look_up(self, uv: Float[Array, " u"], footprint: Footprint = 0.0) -> Float[Array, " c"]:
+        """The numbers at surface coordinates."""
+        ...
+
+
+# A product as pixels look it up.
+PixelWeight = tuple[Factor, ...]
+
+
 def constant(values: Numbers, dtype: DTypeLike | None = None) -> Texture:
     """The same numbers everywhere: one, or one per channel, traced or not.
 
@@ -253,7 +283,7 @@ def constant(values: Numbers, dtype: DTypeLike | None = None) -> Texture:
 
 
 @jax.jit
-def look_up(weight: Weight, uv: Float[Array, " u"], footprint: Footprint = 0.0) -> Float[Array, " c"]:
+def look_up(weight: PixelWeight, uv: Float[Array, " u"], footprint: Footprint = 0.0) -> Float[Array, " c"]:
     """The product of textures and vertex colours at surface coordinates."""
     value = jnp.ones(1, uv.dtype)
     for texture in weight:

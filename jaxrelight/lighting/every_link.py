@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.brdf.reflection import of_group
-from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.brdf.texture import PixelWeight, look_up
 from jaxrelight.gather.final_gather import FinalGather
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.ray_origins import ray_origins
@@ -123,5 +123,5 @@ def _some(seen: GBuffer, pixels: Int[np.ndarray, " s"]) -> GBuffer:
 
 
 @jax.jit
-def _factors(weight: Weight, uv: Float[Array, "m u"], footprint: Float[Array, " m"]) -> Float[Array, "m c"]:
+def _factors(weight: PixelWeight, uv: Float[Array, "m u"], footprint: Float[Array, " m"]) -> Float[Array, "m c"]:
     return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, uv, footprint)

@@ -23,7 +23,7 @@ from jaxrelight.brdf.material import has_lobes
 from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.sub_lobes import is_narrower_than_texels
-from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.brdf.texture import PixelWeight, look_up
 from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
 from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.pixels import SurfacePixels
@@ -195,7 +195,9 @@ def exact_pixels(
 
 
 @functools.partial(jax.jit, static_argnames="without_lobes")
-def _rows(bits, brdf, weight: Weight, pixels: SurfacePixels, directions, without_lobes: bool) -> Float[Array, "3 p d"]:
+def _rows(
+    bits, brdf, weight: PixelWeight, pixels: SurfacePixels, directions, without_lobes: bool
+) -> Float[Array, "3 p d"]:
     if isinstance(brdf, LobeSum) and without_lobes:
         brdf = dataclasses.replace(brdf, scale=jnp.zeros_like(brdf.scale))
     if isinstance(brdf, PackedLobes):

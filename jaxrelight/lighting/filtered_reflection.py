@@ -13,7 +13,7 @@ from jaxrelight.brdf.horizon import clipped_exponents
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.sub_lobes import narrower_exponent
-from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.brdf.texture import PixelWeight, look_up
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, at_texel
 from jaxrelight.lighting.filtered_lobes import lobe_radiance
 from jaxrelight.lighting.pixels import SurfacePixels
@@ -73,7 +73,7 @@ def filtered_radiance(
 @functools.partial(jax.jit, static_argnames="narrower")
 def _filtered_radiance(
     brdf: LobeSum | PackedLobes,
-    weight: Weight,
+    weight: PixelWeight,
     held: FilteredVisibility | None,
     rows,
     maps: PrefilteredMaps,

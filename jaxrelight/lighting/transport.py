@@ -17,7 +17,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
-from jaxrelight.brdf.texture import Weight
+from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
@@ -433,7 +433,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return _in_picture(self._shaded_terms(bounds, view, self._weights, bound=True), view)
 
     def shade_terms(
-        self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...] | None = None
+        self, terms: LightTerms, view: TransportView, weights: tuple[PixelWeight, ...] | None = None
     ) -> Float[Array, "h w c"]:
         """Radiance of every pixel by light terms, 0 where no surface is seen, without filtered lobes.
 
@@ -449,12 +449,12 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return _in_picture(self._shaded_terms(terms, view, self._weights if weights is None else weights), view)
 
     @property
-    def _weights(self) -> tuple[Weight, ...]:
+    def _weights(self) -> tuple[PixelWeight, ...]:
         """Of the blocks."""
         return tuple(block.weight for block in self.transport.blocks)
 
     def _shaded_terms(
-        self, terms: LightTerms, view: TransportView, weights: tuple[Weight, ...], *, bound: bool = False
+        self, terms: LightTerms, view: TransportView, weights: tuple[PixelWeight, ...], *, bound: bool = False
     ) -> Float[Array, "h w c"]:
         """`shade_terms`; or of bounds of terms those of radiance, without emission."""
         blocks = self.transport.blocks
@@ -615,7 +615,7 @@ def _products_of_lengths(dropped, light, receivers: int, terms: int):
 @functools.partial(jax.jit, static_argnames="bound")
 def _radiance(
     reflection: Reflection,
-    weight: Weight,
+    weight: PixelWeight,
     terms: Float[Array, "v k c"],
     pixels: SurfacePixels,
     corners: Corners,

@@ -14,8 +14,9 @@ from jaxrelight.basis import latlong
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.normal_maps import see
+from jaxrelight.brdf.packed_texture import pack_weight
 from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
-from jaxrelight.brdf.texture import Weight
+from jaxrelight.brdf.texture import PixelWeight, Weight
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
@@ -37,7 +38,7 @@ class SurfaceComponent(eqx.Module):
     """One BRDF of a material and the factor on it; maps of lobes are packed once for all views."""
 
     brdf: Brdf | PackedLobes
-    weight: Weight
+    weight: PixelWeight
 
 
 class SurfaceMaterial(eqx.Module):
@@ -74,10 +75,11 @@ def surface_material(name: str, material: Material, minification: Minification =
 
 
 def surface_component(
-    brdf: Brdf | SpatialLobes | PackedLobes, weight: Weight, minification: Minification = "levels"
+    brdf: Brdf | SpatialLobes | PackedLobes, weight: Weight | PixelWeight, minification: Minification = "levels"
 ) -> SurfaceComponent:
     """One BRDF of a material as pixels ask for it; see `surface_material`."""
-    return SurfaceComponent(brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf, weight)
+    packed = brdf.packed(minification) if isinstance(brdf, SpatialLobes) else brdf
+    return SurfaceComponent(packed, pack_weight(weight))
 
 
 class TakenRows(NamedTuple):

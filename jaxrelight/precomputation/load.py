@@ -8,7 +8,7 @@ from collections.abc import Collection
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.haar import HaarFaces
@@ -16,6 +16,7 @@ from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factored import Factored
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.normal_maps import NormalMaps, at_vertices, see
+from jaxrelight.brdf.packed_texture import pack_weight
 from jaxrelight.brdf.parametrisation import DISC, POLAR
 from jaxrelight.brdf.record import from_record
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -213,7 +214,7 @@ def _block(
     if opened:
         # What a row leaves out is a sum of two: no longer than both.
         dropped = np.square(sum(np.sqrt(one.dropped) for one in opened))
-    weight = tuple(read_factor(folder, entry) for entry in record["weight"])
+    weight = pack_weight(tuple(read_factor(folder, entry) for entry in record["weight"]))
     emission = record.get("emission")
     block = Block(
         material=record["name"],
@@ -252,7 +253,7 @@ def _filtered_lobes(
     return FilteredLobes(
         material=record["name"],
         brdf=jax.tree.map(as_array, brdf.packed() if isinstance(brdf, SpatialLobes) else brdf),
-        weight=tuple(read_factor(folder, entry) for entry in record["weight"]),
+        weight=pack_weight(tuple(read_factor(folder, entry) for entry in record["weight"])),
         visibility=visibility,
         narrower=narrower_lobes(brdf, method.reflection_tolerance),
         first_group=int(groups[0]),
@@ -382,9 +383,8 @@ def read_texture(folder: pathlib.Path, entry: str | list[float] | dict) -> Textu
     return constant(entry)
 
 
-@jax.jit
-def _minified(pixels: Float[Array, "h w c"]) -> Texture:
-    return Texture(pixels).minified()
+def _minified(pixels: Float[np.ndarray, "h w c"]) -> Texture:
+    return Texture(as_array(pixels)).minified()
 
 
 def _read_table(folder: pathlib.Path, name: str) -> np.ndarray:

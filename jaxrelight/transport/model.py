@@ -16,7 +16,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.normal_maps import NormalMaps
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.spatial import PackedLobes, SpatialLobes
-from jaxrelight.brdf.texture import Weight
+from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.gather.gather_cloud import GatherCloud
@@ -142,7 +142,7 @@ class Block(eqx.Module):
 
     material: str = eqx.field(static=True)
     brdf: Brdf | SpatialLobes
-    weight: Weight
+    weight: PixelWeight
     reflection: Reflection
     operator: Operator
     first_group: int = eqx.field(static=True)
@@ -178,7 +178,7 @@ class FilteredLobes(eqx.Module):
 
     material: str = eqx.field(static=True)
     brdf: LobeSum | PackedLobes
-    weight: Weight
+    weight: PixelWeight
     visibility: FilteredVisibility | None
     narrower: int = eqx.field(static=True)
     first_group: int = eqx.field(static=True)

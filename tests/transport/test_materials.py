@@ -12,6 +12,7 @@ import jaxrelight as jr
 from jaxrelight import Part, Scene
 from jaxrelight.basis import cubemap
 from jaxrelight.brdf.material import Component, Material, as_material, textured_lambert, textured_phong, white_lambert
+from jaxrelight.brdf.packed_texture import PackedTexture
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture, VertexColours, constant
 from jaxrelight.geometry import mesh as meshes
@@ -97,8 +98,8 @@ def test_a_texture_is_stored_apart_from_grey_transport_and_changing_it_bakes_not
     transport = load_transport(tmp_path)
     paper = block_of(transport, "paper")
     assert paper.operator.shape[2] == 1
-    assert isinstance(paper.weight[0], Texture)
-    np.testing.assert_array_equal(paper.weight[0].pixels, PIXELS[::-1])
+    assert isinstance(paper.weight[0], PackedTexture)
+    np.testing.assert_array_equal(paper.weight[0].texels[: PIXELS[..., 0].size], PIXELS[::-1].reshape(-1, 3))
 
 
 @pytest.mark.parametrize("receivers", ["vertices", "pixels"])

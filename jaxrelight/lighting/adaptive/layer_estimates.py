@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.brdf.texture import Weight, look_up
+from jaxrelight.brdf.texture import PixelWeight, look_up
 from jaxrelight.lighting.adaptive.hierarchy import Features, hierarchy
 from jaxrelight.lighting.adaptive.planning import LayerEstimate
 from jaxrelight.lighting.adaptive.prediction import Prediction
@@ -18,7 +18,7 @@ from jaxrelight.lighting.pixels import SurfacePixels
 
 def estimate_layer(
     view: AdaptiveView,
-    weights: Sequence[Sequence[Weight]],
+    weights: Sequence[Sequence[PixelWeight]],
     predicted: Sequence[Sequence[Prediction]],
     number: int,
     white: float,
@@ -79,7 +79,7 @@ def _mirrored(pixels: SurfacePixels):
     return z - x - y
 
 
-def looked_up(weight: Weight, pixels: SurfacePixels) -> Float[Array, "p c"]:
+def looked_up(weight: PixelWeight, pixels: SurfacePixels) -> Float[Array, "p c"]:
     """The weight of a component at each pixel."""
     return jax.vmap(look_up, in_axes=(None, 0, 0))(weight, pixels.uv, pixels.footprint)
 

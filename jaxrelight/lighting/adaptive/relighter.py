@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrelight.brdf.texture import Weight
+from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.images.tone import auto_exposure
@@ -58,7 +58,7 @@ class SampledComponent(eqx.Module):
     """One BRDF of a material with what draws directions for it, and the factor on it."""
 
     sampler: SampledBrdf
-    weight: Weight
+    weight: PixelWeight
 
 
 class SampledMaterial(eqx.Module):
@@ -506,6 +506,6 @@ def _mipmap_of(lit: AdaptiveLight) -> EnvironmentMipmap:
 
 
 @jax.jit
-def _weighed(weight: Weight, pixels, radiance, others):
+def _weighed(weight: PixelWeight, pixels, radiance, others):
     """Radiance of pixels by a component's weight, added to that of other components."""
     return others + radiance * looked_up(weight, pixels)

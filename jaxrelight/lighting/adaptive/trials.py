@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxrelight.brdf.texture import Weight
+from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.images.tone import srgb_encode, to_unit
 from jaxrelight.lighting.adaptive.estimate import Blocked, estimate
 from jaxrelight.lighting.adaptive.layer_estimates import looked_up
@@ -50,7 +50,7 @@ class Trials:
     view: AdaptiveView
     light: EnvironmentMipmap
     samplers: Sequence[Sequence[SampledBrdf]]
-    weights: Sequence[Sequence[Weight]]
+    weights: Sequence[Sequence[PixelWeight]]
     blocked: Sequence[Blocked | None]
     white: float
 
@@ -206,5 +206,5 @@ def _counts_at(view: AdaptiveView, place, count) -> Int[np.ndarray, "h w"]:
 
 
 @jax.jit
-def _weight(weight: Weight, pixels: SurfacePixels) -> Float[Array, "p 3"]:
+def _weight(weight: PixelWeight, pixels: SurfacePixels) -> Float[Array, "p 3"]:
     return jnp.broadcast_to(looked_up(weight, pixels), (len(pixels.pixel), 3))
