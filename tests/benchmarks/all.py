@@ -27,6 +27,7 @@ PROGRAMS = (
     "terminator",
     "second_render",
     "starts",
+    "many_textures",
     "quantised_rows",
     "clusters",
     "changed_light",
