@@ -15,6 +15,8 @@ GROUP = 128
 
 # How far vertices at the rim of a surface are moved into it, times their lift: see `_off_the_rim`.
 _INSET = 4
+# The cosine between the normals of a vertex and of a face around it that are taken to be on the same side.
+_MIN_SLOPE = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,9 +76,11 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
     def both(values, back=1):
         return np.concatenate([values, back * values[two_sided]])
 
-    normals, face_normals = both(surfaces.normals, -1), both(_vertex_face_normals(surfaces), -1)
-    positions, tangents = both(_off_the_rim(surfaces)), both(surfaces.tangents)
-    origins = positions + both(surfaces.vertex_lift[:, None]) * face_normals
+    face_normals, positions = _vertex_face_normals(surfaces), _off_the_rim(surfaces)
+    fronts, backs = (_lifted(surfaces, positions, side * face_normals, side) for side in (1, -1))
+    origins = np.concatenate([fronts, backs[two_sided]])
+    normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
+    positions, tangents = both(positions), both(surfaces.tangents)
     return _grouped(positions, normals, face_normals, origins, tangents, None, None, None, both(material))
 
 
@@ -114,6 +118,28 @@ def _off_the_rim(surfaces: Surfaces) -> Float[np.ndarray, "v 3"]:
     inset = np.minimum(_INSET * surfaces.vertex_lift[rim, None], length / 10)
     positions[rim] += inwards / np.where(length > 0, length, 1) * inset
     return positions
+
+
+def _lifted(
+    surfaces: Surfaces, positions: Float[np.ndarray, "v 3"], normals: Float[np.ndarray, "v 3"], side: int
+) -> Float[np.ndarray, "v 3"]:
+    """Vertices lifted along their normals until they are as far above every face around them as rays need.
+
+    Args:
+        surfaces: of the scene.
+        positions: of the vertices, maybe moved off the rim, which can be under a face that rises from there.
+        normals: unit normals to lift along.
+        side: 1 for the fronts of faces, −1 for their backs.
+    """
+    height = surfaces.vertex_lift.copy()
+    of_faces = side * surfaces.face_normals(np.arange(len(surfaces.faces)))
+    for corner in range(3):
+        vertex = surfaces.faces[:, corner]
+        moved = positions[vertex] - surfaces.vertices[vertex]
+        slope = np.sum(normals[vertex] * of_faces, axis=1)
+        short = surfaces.vertex_lift[vertex] - np.sum(moved * of_faces, axis=1)
+        np.maximum.at(height, vertex, np.where(slope > _MIN_SLOPE, short / np.maximum(slope, _MIN_SLOPE), 0))
+    return positions + height[:, None] * normals
 
 
 def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Groups of receivers, and the way back from them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -133,3 +135,19 @@ def test_face_normals_are_weighted_by_area_and_fall_back_to_the_shading_normal()
     np.testing.assert_allclose(face_normals[1], [0, 1, 0], atol=1e-12)
     np.testing.assert_allclose(face_normals[3], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(face_normals[4], [0, 0, 1], atol=1e-12)
+
+
+def test_origins_at_the_rim_of_a_hollow_are_above_the_faces_that_rise_from_it():
+    """A shallow bowl: its rim slopes up on both sides of every vertex; and the same as its own back."""
+    grid = plane((2, 2), 4)
+    heights = 0.4 * (np.abs(grid.vertices[:, 0]) + np.abs(grid.vertices[:, 2]))
+    bowl = dataclasses.replace(grid, vertices=grid.vertices + heights[:, None] * np.array([0, 1, 0]), two_sided=True)
+    surfaces = join([bowl])
+    receivers = vertex_receivers(surfaces, np.array([0]))
+    origins = receivers.origins.reshape(-1, 3)[receivers.slot_of]
+    for side, mine in ((1, origins[: len(heights)]), (-1, origins[len(heights) :])):
+        for corner in range(3):
+            vertex = surfaces.faces[:, corner]
+            moved, normals = mine[vertex] - surfaces.vertices[vertex], surfaces.face_normals(np.arange(32))
+            above = side * np.sum(moved * normals, axis=1)
+            assert (above >= 0.999 * surfaces.vertex_lift[vertex]).all()
