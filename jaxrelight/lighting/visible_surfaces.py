@@ -312,7 +312,7 @@ def trace_view(
     u, v, covered = jax.device_put((u.astype(np.float32), v.astype(np.float32), gbuffer.covered))
     place = places([part.pixels for part in parts], gbuffer.covered.size)
     # A row of a map is as high as a pixel of the middle of the picture, or lower.
-    map_rows = 1 << int(np.ceil(np.log2(np.pi / np.sqrt(camera.solid_angles().max()))))
+    map_rows = 1 << max(0, int(np.ceil(np.log2(np.pi / np.sqrt(camera.solid_angles().max())))))
     return VisibleSurfaces(tuple(parts), points, place, covered, u, v, map_rows=map_rows, factor=factor), gbuffer
 
 

@@ -47,10 +47,12 @@ _MEASURED = {"--json", "--error-samples", "--help", "--help-all", "-h"}
 def run(*arguments, main: Callable[[], None] = cli.main) -> tuple[int, str, str]:
     """Runs a command of a program in this process: (exit status, standard output, standard error).
 
-    Errors of pictures are measured where the summary is read: that compiles programs of its own.
+    Errors of pictures are measured, and pixels have several samples, where the summary is read: both compile programs
+    of their own.
     """
     if arguments[:1] in (("render",), ("relight",)) and not _MEASURED.intersection(map(str, arguments)):
         arguments = (*arguments, "--error-samples", "0")
+        arguments += () if "--antialiasing" in arguments else ("--antialiasing", "1")
     out, err, status = io.StringIO(), io.StringIO(), 0
     with (
         mock.patch.object(sys, "argv", ["program", *map(str, arguments)]),

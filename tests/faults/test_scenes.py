@@ -16,6 +16,7 @@ def folder(tmp_path_factory) -> pathlib.Path:
     return made
 
 
+@pytest.mark.slow
 def test_the_sound_scene_is_rendered(folder):
     assert not scenes.wrong_with_sound(folder)
     (folder / "out.exr").unlink()

@@ -54,6 +54,7 @@ def test_the_ends_of_a_blend_are_the_materials(share, wanted):
     np.testing.assert_allclose(made.brdf.diffuse, wanted.diffuse, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_a_blend_is_the_mean_of_the_functions():
     """With two lobes exactly, with one as nearly as it can, and nearer than the mean of the parameters."""
     wanted = 0.5 * sample(SHARP, COARSE).values + 0.5 * sample(BROAD, COARSE).values

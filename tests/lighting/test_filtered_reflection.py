@@ -143,6 +143,7 @@ def test_it_is_linear_in_light_and_a_turned_sky_is_a_turned_look_up(relighter):
     np.testing.assert_allclose(again, first, rtol=2e-3, atol=2e-4)
 
 
+@pytest.mark.slow
 def test_slopes_in_light_turn_and_lobes_are_those_of_differences(relighter):
     view, pixels = relighter.view(), np.asarray(sky().pixels)
     aim = np.random.default_rng(0).random((24, 32, 3)).astype(np.float32)

@@ -312,7 +312,8 @@ def uniform(relighter: AdaptiveRelighter, mine: AdaptiveView, samples: int, seed
     return np.asarray(other.shade_uniform(sky(), mine, samples, filtered=True))
 
 
-@pytest.mark.parametrize("texels", [64, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("texels", [64, 2])
 def test_an_sbrdf_is_shaded_where_it_varies(texels: int):
     """Stripes of gloss, as fine as the pixels that see them; and two of them, wide."""
     stripes = np.repeat(np.arange(texels) % 2, 64 // texels)
