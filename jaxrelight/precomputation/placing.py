@@ -157,6 +157,8 @@ class PlacedScene:
                     try:
                         reflection, factors, left = factors_of(self.folder, brdf, described, asked, self.method)
                     except InputError as error:
+                        if str(error).startswith(str(self.folder)):
+                            raise  # a file of the store, not the material
                         raise InputError(f"{self.scene.name}: material '{name}': {error}") from None
                 if left and reflection and not of_filtered:
                     shapes = f"shapes that stand for all texels are {left.shapes:.1%} off, and " if left.shapes else ""

@@ -14,7 +14,7 @@ from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Component, Material, split_diffuse
 from jaxrelight.brdf.pairs import spread_pairs
 from jaxrelight.brdf.spatial_factors import factor_spatial
-from jaxrelight.brdf.texture import constant
+from jaxrelight.brdf.texture import Texture, constant
 from tests.brdf.test_spatial import maps
 
 # All maps are of this size, and the numbers of shapes are but three, so that programs are the same.
@@ -107,6 +107,7 @@ def test_far_away_the_mean_of_all_texels_is_seen():
 def test_the_diffuse_part_is_a_component_of_its_own():
     lobes, tint = maps(*SHAPE), constant([1.0, 0.5, 0.2])
     diffuse, glossy = split_diffuse(Material((Component(lobes, (tint,)),))).components
+    assert isinstance(diffuse.weight[0], Texture)
     np.testing.assert_array_equal(diffuse.weight[0].pixels, lobes.diffuse)
     assert diffuse.weight[1] is glossy.weight[0] is tint
     assert not np.asarray(glossy.brdf.diffuse).any()  # pyright: ignore[reportAttributeAccessIssue]

@@ -142,7 +142,8 @@ def test_notches_of_polygons_stay_open(tmp_path, turn: int, tilt: float):
     corners = np.roll([1, 2, 3, 4], turn)
     rows = "".join(f"v {x} {y} {tilt * x + 2 * tilt * y}\n" for x, y in ((-1, -1), (0, 0), (1, -1), (0, 1)))
     mesh = load_mesh(_written(tmp_path, f"{rows}f {' '.join(map(str, corners))}\n"))
-    area = np.cross(*(mesh.vertices[mesh.faces][:, k] - mesh.vertices[mesh.faces][:, 0] for k in (1, 2)))
+    places = mesh.vertices[mesh.faces]
+    area = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
     assert (area[:, 2] > 0).all()
     np.testing.assert_allclose(area[:, 2].sum() / 2, 1)
     assert mesh.notes == ()
