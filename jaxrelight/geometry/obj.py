@@ -31,7 +31,7 @@ def read_obj(data: bytes, folder: pathlib.Path) -> RawMesh:
     followed by a linear colour. `#` begins a comment, but not within the name of a material or of a library. Lines and
     points are passed over.
     """
-    text = decoded(data).replace("\r\n", "\n").replace("\r", "\n")
+    text = decoded(data).replace("\r\n", "\n").replace("\r", "\n").replace("\\\n", " ")
     rows: dict[str, list[list[str]]] = {name: [] for name in _WIDTHS}
     colours: dict[int, list[str]] = {}
     parts, part, libraries = {"": 0}, 0, []
@@ -40,7 +40,7 @@ def read_obj(data: bytes, folder: pathlib.Path) -> RawMesh:
     part_of_polygon: list[int] = []
     smoothing, smoothings = BY_ANGLE, []
     lost = {"fewer than three vertex numbers": 0, "index out of range": 0}
-    for line in text.replace("\\\n", " ").split("\n"):
+    for line in text.split("\n"):
         key, rest = [*line.split(None, 1), "", ""][:2]
         if key == "f":
             words = rest.split("#", 1)[0].split()

@@ -186,6 +186,10 @@ def _states(case: Case, height: int, width: int) -> bool:
     if case.suffix == ".jpg":
         at = case.data.index(b"\xff\xc0") + 5
         return (height, width) == struct.unpack_from(">2H", case.data, at)
+    if case.suffix == ".webp":  # of a single frame, after its start code
+        at = case.data.index(b"\x9d\x01\x2a") + 3
+        # The upper two bits of each are for scaling.
+        return (width, height) == tuple(size & 0x3FFF for size in struct.unpack_from("<2H", case.data, at))
     return False
 
 

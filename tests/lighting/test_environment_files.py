@@ -54,10 +54,13 @@ def test_the_same_light_in_files_of_other_sizes_and_kinds_is_the_same_picture(tm
     """Constant cells split in other ways, and a cube map of the same smooth radiance."""
     sky = _sky(4)
     wanted = picture(jr.environment(sky))
+    # Behind surfaces there is what is between the pixels, which their split changes.
+    surface = wanted[..., 3] == 1
     for rows, columns in ((1, 3), (3, 2)):
         name = tmp_path / f"{rows}x{columns}.exr"
         jr.write_image(name, sky.repeat(rows, axis=0).repeat(columns, axis=1))
-        np.testing.assert_allclose(picture(load_environment(name, layout="latlong")), wanted, rtol=2e-3)
+        image = picture(load_environment(name, layout="latlong"))
+        np.testing.assert_allclose(image[surface], wanted[surface], rtol=2e-3)
 
     def smooth(direction):
         return (1.5 + direction @ [[1.0, 0, 0.2], [0, 1, 0.3], [0.1, 0, 1]]).astype(np.float32)
