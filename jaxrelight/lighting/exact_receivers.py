@@ -58,8 +58,8 @@ class ExactReceivers:
         }
 
     def terms(
-        self, environment: Environment, others: tuple[Float[Array, "v _ _"], ...]
-    ) -> tuple[Float[Array, "v _ _"], ...]:
+        self, environment: Environment, others: tuple[Float[Array, "_ _ _"], ...]
+    ) -> tuple[Float[Array, "_ _ _"], ...]:
         """Light terms of direct light: exact ones of those receivers, and the ones given of all others."""
         texels, every = texels_of(environment, self._resolution), list(others)
         for number, chunks in self._inputs.items():

@@ -53,8 +53,8 @@ def without_bounces(transport: PrecomputedTransport) -> PrecomputedTransport:
 
 
 def terms_alone(
-    terms: tuple[Float[Array, "v _ _"], ...], numbers: Collection[int]
-) -> tuple[Float[Array, "v _ _"], ...]:
+    terms: tuple[Float[Array, "_ _ _"], ...], numbers: Collection[int]
+) -> tuple[Float[Array, "_ _ _"], ...]:
     """Light terms of some blocks, and none of the others."""
     return tuple(of if number in numbers else jnp.zeros_like(of) for number, of in enumerate(terms))
 
