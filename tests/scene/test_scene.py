@@ -730,3 +730,24 @@ def test_a_scene_needs_no_materials_of_its_own(folder):
 def test_faults_of_materials_by_part(folder, lines: str, what: str):
     with pytest.raises(InputError, match=re.escape(what)):
         _with_file(folder, f'file = "two.obj"\n{lines}')
+
+
+RIDGE = "v -1 -1 -0.8\nv 0 -1 0\nv 0 1 0\nv -1 1 -0.8\nv 1 -1 -0.8\nv 1 1 -0.8\nf 1 2 3 4\nf 2 5 6 3\n"
+
+
+def test_creases_and_shading_normals(folder):
+    (folder / "ridge.obj").write_text(RIDGE)
+    sharp, smooth, pure = (
+        _with_file(folder, f'file = "ridge.obj"\nmaterial = "paper"\n{lines}').parts[0].mesh
+        for lines in ("", "crease_angle = 90", 'shading_normals = "pure"')
+    )
+    assert (len(sharp.vertices), len(smooth.vertices)) == (8, 6)
+    assert [mesh.pure_normals for mesh in (sharp, smooth, pure)] == [False, False, True]
+    for lines, words in (
+        ("crease_angle = 200", "crease_angle is 200; give degrees from 0"),
+        ('shading_normals = "smooth"', "'shading_normals' is \"corrected\" or \"pure\", not 'smooth'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            _with_file(folder, f'file = "ridge.obj"\nmaterial = "paper"\n{lines}')
+    with pytest.raises(InputError, match="crease_angle is for files"):
+        _with_file(folder, 'primitive = "plane"\nmaterial = "paper"\ncrease_angle = 30')
