@@ -99,7 +99,7 @@ def compared(name: str, mesh, towards: np.ndarray, size: int, has_mitsuba: bool)
     lit = (covered > 0.999) & (reference[..., 0] > 0.01 * ALBEDO) & (cosines(mesh, towards, camera) > 0.01)
     black = {way: lit & (image[..., 0] < 1e-6) for way, image in ours.items()}
     # The edges of shadows that a coarse mesh casts are elsewhere than those of the smooth surface.
-    beside = ndimage.binary_dilation(reference[..., 0] <= 0.01 * ALBEDO, iterations=2)
+    beside = np.asarray(ndimage.binary_dilation(reference[..., 0] <= 0.01 * ALBEDO, iterations=2), bool)
     error = {
         way: image_error(image, np.concatenate([reference, alpha], axis=2).astype(np.float32))
         for way, image in ours.items()
