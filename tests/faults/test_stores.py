@@ -59,6 +59,7 @@ def test_damaged_store_of_local_lights(tmp_path):
         assert not stores.wrong(stores.damages_to(file, indirect), indirect)
 
 
+@pytest.mark.slow
 def test_damage_to_the_whole(sound):
     assert not stores.wrong(stores.WHOLE, sound)
 

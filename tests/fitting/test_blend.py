@@ -65,6 +65,7 @@ def test_a_blend_is_the_mean_of_the_functions():
     np.testing.assert_allclose(one.residual, _apart(one.brdf, wanted), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_anything_can_be_blended():
     other = ashikhmin_shirley([0.3, 0.2, 0.1], 0.05, 30, 30)
     assert blended(other, SHARP, 0.3, TWO, "plain", COARSE).residual < 0.2

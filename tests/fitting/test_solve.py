@@ -191,6 +191,7 @@ def pulled_back(omega_i, omega_o, values, cotangents):
     return solution, pull(cotangents)[0]
 
 
+@pytest.mark.slow
 def test_the_optimum_moves_with_the_samples_as_its_gradient_says(x64):
     """Each of its parts, in every item; and gradients stay what they are, or finite, where other items are bad."""
     data, random = texels(*FEW, 0.02, seed=5), np.random.default_rng(0)

@@ -72,6 +72,7 @@ def relighter(scene, folder) -> IndirectRelighter:
     return opened(scene, folder)
 
 
+@pytest.mark.slow
 def test_a_closed_room_that_emits_is_its_series(tmp_path):
     """E (1 + ρ + … + ρ^B) from all directions."""
     relighter = opened(room([0.5, 0.4, 0.8], np.ones(3, np.float32)), tmp_path, gather_samples=4096)

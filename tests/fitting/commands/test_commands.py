@@ -152,6 +152,7 @@ def test_refined_factors_say_what_refining_did(folder, run):
     assert summary["refining_steps"] > 0
 
 
+@pytest.mark.slow
 def test_sbrdf_writes_maps_and_predicts_images(folder, run):
     pytest.importorskip("matplotlib")
     arguments = "sbrdf", "bump.npz", "-o", "maps.exr", "--report", "report", "--storage", "half", "--json"
