@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from jaxrelight.geometry.triangles import area_vectors, half_edges, unit
 from jaxrelight.numerics.unique_rows import unique_rows
 
 # The angle between neighbours' normals, in degrees, beyond which an edge is sharp where a file says nothing.
@@ -38,7 +39,7 @@ def smooth_normals(
         The normals, and the pairs of faces between which edges are sharp because of the crease angle.
     """
     corners = vertices[faces]
-    normals, angles = _face_normals(corners), _corner_angles(corners)
+    normals, angles = unit(area_vectors(corners), np.array([0.0, 1.0, 0.0])), _corner_angles(corners)
     place = unique_rows(vertices)[1][faces]
     first, second, at_first, at_second = _meeting(place)
     cosines = np.sum(normals[first] * normals[second], axis=1)
@@ -80,10 +81,8 @@ def split_vertices(
 
 def _meeting(place: Int[np.ndarray, "f 3"]):
     """Pairs of faces that run along an edge in opposite directions, and the numbers of their corners at both ends."""
-    ends = np.stack([place, np.roll(place, -1, axis=1)], axis=2).reshape(-1, 2)
-    edge = unique_rows(np.sort(ends, axis=1))[1]
+    edge, rising = half_edges(place)
     order = np.argsort(edge, kind="stable")
-    rising = ends[:, 0] < ends[:, 1]
     first, second = [], []
     for step in range(1, min(_MAX_FACES_OF_EDGE, int(np.bincount(edge).max(initial=1)))):
         one, other = order[:-step], order[step:]
@@ -96,14 +95,6 @@ def _meeting(place: Int[np.ndarray, "f 3"]):
     at_one = np.stack([one % 3, (one + 1) % 3], axis=1)
     at_other = np.stack([(other + 1) % 3, other % 3], axis=1)
     return one // 3, other // 3, at_one, at_other
-
-
-def _face_normals(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    largest = np.abs(area).max(axis=1, keepdims=True, initial=0)
-    area = area / np.where(largest > 0, largest, 1)
-    length = np.linalg.norm(area, axis=1, keepdims=True)
-    return np.where(length > 0, area / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
 
 
 def _corner_angles(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:

@@ -15,7 +15,8 @@ from jaxrelight.geometry.file_lights import Surroundings
 from jaxrelight.geometry.file_materials import FileMaterial
 from jaxrelight.geometry.mesh_files import READERS
 from jaxrelight.geometry.raw_mesh import RawMesh
-from jaxrelight.geometry.repair import FACES_INWARD, MAX_COORDINATE, Repaired, area_vectors, repaired, unit
+from jaxrelight.geometry.repair import FACES_INWARD, MAX_COORDINATE, Repaired, repaired
+from jaxrelight.geometry.triangles import area_vectors, unit
 
 _UNREAD = "string or file could not be read to its end"  # numpy warns so, then returns what it had
 _FARTHEST_UV = 1e6  # beyond, float32 does not tell texels apart

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
-from jaxrelight.geometry.repair import area_vectors, unit
+from jaxrelight.geometry.triangles import area_vectors, unit
 
 _MAX_FACES = 20_000_000
 

@@ -14,7 +14,7 @@ from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import pixel_receivers
 from jaxrelight.lighting.reference import Reference, Sample
-from jaxrelight.lighting.transport import TransportView
+from jaxrelight.lighting.transport_view import TransportView
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Basis
 from jaxrelight.transport.model import PrecomputedIndirect, fixed_view, frames_of

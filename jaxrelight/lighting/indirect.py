@@ -33,7 +33,8 @@ from jaxrelight.lighting.shadows import (
     trace_visibility,
     unpacked,
 )
-from jaxrelight.lighting.transport import TransportRelighter, TransportView, samples_of_pixels
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.lighting.transport_view import TransportView, samples_of_pixels
 from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights

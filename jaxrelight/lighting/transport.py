@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.lobes import LobeSum
@@ -20,13 +20,13 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels, pixel_angle, samples_along
+from jaxrelight.lighting.antialiasing import samples_along
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.exact_receivers import ExactAtVertices
 from jaxrelight.lighting.filtered_reflection import exponents_of, filtered_radiance
+from jaxrelight.lighting.light_terms import LightTerms, largest_errors, light_terms, with_emitted
 from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
@@ -41,15 +41,20 @@ from jaxrelight.lighting.transport_means import (
     terms_alone,
     without_bounces,
 )
+from jaxrelight.lighting.transport_view import (
+    TransportView,
+    image_of_samples,
+    in_picture,
+    samples_of_pixels,
+    trace_receivers,
+)
 from jaxrelight.lighting.visible_surfaces import (
     Corners,
     SurfaceMaterial,
     SurfacePart,
     VisibleSurfaces,
-    corners_of,
     emitted,
     surface_component,
-    trace_view,
 )
 from jaxrelight.lights.environment import Environment, coarsened, encode, texels_of, with_coarse_pixels
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
@@ -57,49 +62,8 @@ from jaxrelight.lights.prefiltered import COARSE_RESOLUTION, PrefilteredMaps, ma
 from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
-from jaxrelight.operators.clustered import Clustered
-from jaxrelight.operators.contract import Operator, Summed
-from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import rebake as baking
-from jaxrelight.transport.compression import padded_receivers
-from jaxrelight.transport.model import Block, PrecomputedTransport, SceneGeometry
-
-# Light terms [receivers, k, c] of every block; with a leading axis where they are of many lights.
-LightTerms = tuple[Float[Array, "*n _ _ _"], ...]
-
-
-class TransportView(eqx.Module):
-    """What a camera sees of precomputed receivers.
-
-    Attributes:
-        surfaces: what it sees.
-        corners: the receivers of each part's pixels.
-        shares: the visible shares of lobes that were traced, by part and the transport's lobes; None for others.
-        samples: of pixels that are receivers, what several in each of them see; None where what is shaded is seen.
-        nearest: of every sample the pixel whose radiance it takes; −1 where it shows no surface.
-    """
-
-    surfaces: VisibleSurfaces
-    corners: tuple[Corners, ...]
-    shares: tuple[tuple[Float[Array, "p l c1 j"] | None, ...], ...]
-    samples: VisibleSurfaces | None = None
-    nearest: Int[Array, "fh fw"] | None = None
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(height, width) of the picture."""
-        return self.surfaces.picture_shape
-
-    @property
-    def shown(self) -> VisibleSurfaces:
-        """What local lights light, and what covers the background."""
-        return self.surfaces if self.samples is None else self.samples
-
-    def taken(self, chosen: Int[np.ndarray, " s"]) -> "TransportView":
-        """A view of some of the pixels alone; see `VisibleSurfaces.taken`."""
-        surfaces, every = self.surfaces.taken(chosen)
-        corners = tuple(some.of(self.corners[some.part]) for some in every)
-        return TransportView(surfaces, corners, tuple(some.of(self.shares[some.part]) for some in every))
+from jaxrelight.transport.model import PrecomputedTransport
 
 
 class TransportLight(NamedTuple):
@@ -213,7 +177,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
                 "'vertices' (--receivers vertices), which any camera sees at no cost"
             )
         of_pixels = self.transport.method.receivers == "pixels"
-        surfaces, corners = _traced_view(self.transport, self.materials, camera, 1 if of_pixels else factor)
+        surfaces, corners = trace_receivers(self.transport, self.materials, camera, 1 if of_pixels else factor)
         shares = tuple(self._traced_shares(part, surfaces) for part in surfaces.parts)
         view = TransportView(surfaces, corners, shares)
         if not of_pixels or factor == 1:
@@ -274,7 +238,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         if light.ndim not in (2, 3) or light.shape[-2] != d:
             raise InputError(f"light has shape {tuple(light.shape)}; it must be [{d:,}, c], or [n, {d:,}, c]")
         light = as_array(light)
-        return tuple(_with_emitted(_terms(block.operator, light, block), block) for block in self.transport.blocks)
+        return tuple(with_emitted(light_terms(block.operator, light, block), block) for block in self.transport.blocks)
 
     def light(self, lights: LightsLike) -> TransportLight:
         """Light terms under an environment, and the local lights: what a change of light costs.
@@ -310,7 +274,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         with_sun = list(sun_terms(self.transport, texels, radiance))
         for number, block in enumerate(self.transport.blocks):
             for bounced in block.bounced:
-                with_sun[number] += _terms(bounced, sun, block)
+                with_sun[number] += light_terms(bounced, sun, block)
         return tuple(part + more for part, more in zip(terms, with_sun, strict=True))
 
     def light_many(self, environments: Sequence[Environment]) -> tuple[TransportLight, ...]:
@@ -350,7 +314,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         if view.nearest is None:
             image = image_of((*own, direct), shown.covered, shown.factor)
         else:
-            image = _image_of_samples(own, direct, shown.covered, view.nearest)
+            image = image_of_samples(own, direct, shown.covered, view.nearest)
         return self._measuring(image, lit, view)
 
     def reference(self, view: TransportView, samples: int, seed: int) -> Reference:
@@ -397,7 +361,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         Differentiable in the environment's maps, turn and scale, and in the lobes; None where there are none.
         """
         radiance = self._shaded_lobes(lit, view)
-        return None if radiance is None else _in_picture(radiance, view)
+        return None if radiance is None else in_picture(radiance, view)
 
     def _shaded_lobes(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"] | None:
         environment, maps = lit.environment, lit.maps
@@ -429,8 +393,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         light = self._light_vector_of(environment)
         if self.method.split_sun and self.method.coefficients != "all" and not self.method.bounces:
             light = _split(texels_of(environment, self.method.resolution), self.transport.basis)[0]
-        bounds = tuple(_largest_errors(block.dropped, light, block) for block in self.transport.blocks)
-        return _in_picture(self._shaded_terms(bounds, view, self._weights, bound=True), view)
+        bounds = tuple(largest_errors(block.dropped, light, block) for block in self.transport.blocks)
+        return in_picture(self._shaded_terms(bounds, view, self._weights, bound=True), view)
 
     def shade_terms(
         self, terms: LightTerms, view: TransportView, weights: tuple[PixelWeight, ...] | None = None
@@ -446,7 +410,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             view: from `view`.
             weights: of the blocks; by default those that they have.
         """
-        return _in_picture(self._shaded_terms(terms, view, self._weights if weights is None else weights), view)
+        return in_picture(self._shaded_terms(terms, view, self._weights if weights is None else weights), view)
 
     @property
     def _weights(self) -> tuple[PixelWeight, ...]:
@@ -489,61 +453,6 @@ def _material(name: str, transport: PrecomputedTransport) -> SurfaceMaterial:
     return SurfaceMaterial(name, components, emission)
 
 
-def _traced_view(
-    transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera, factor: int
-) -> tuple[VisibleSurfaces, tuple[Corners, ...]]:
-    """Traces a camera's rays and finds each pixel's receivers; what the camera of pixel receivers sees is known."""
-    geometry, receivers = transport.geometry, transport.receivers
-    surfaces, gbuffer = trace_view(geometry, camera, materials, geometry.visible, factor=factor)
-    vertices = transport.method.receivers == "vertices"
-    corners = np.where(gbuffer.back[:, None], geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
-    slots = receivers.slot_of[corners] if vertices else receivers.slot_of[:, None]
-    weights = gbuffer.barycentric if vertices else np.ones((len(slots), 1))
-    first = {part.material: part.first_group * GROUP for part in (*transport.blocks, *transport.lobes)}
-    starts = [first[materials[part.material].name] for part in surfaces.parts]
-    return surfaces, corners_of(surfaces, gbuffer, slots, weights, starts)
-
-
-def samples_of_pixels(
-    geometry: SceneGeometry, camera: Camera, materials: tuple[SurfaceMaterial, ...], factor: int
-) -> tuple[VisibleSurfaces, Int[Array, "fh fw"]]:
-    """What several samples of each pixel see, and of every sample the pixel that it is most like; see `nearest_pixels`.
-
-    Args:
-        geometry: whose camera's pixels are known.
-        camera: that one.
-        materials: of the relighter.
-        factor: samples along each side of a pixel.
-    """
-    assert geometry.visible is not None
-    samples, gbuffer = trace_view(geometry, camera, materials, factor=factor)
-    eye = geometry.surfaces.to_scene(np.asarray(camera.origin))
-    return samples, as_array(nearest_pixels(gbuffer, geometry.visible, eye, pixel_angle(camera)))
-
-
-def _in_picture(radiance: Float[Array, "fh fw c"], view: TransportView) -> Float[Array, "h w c"]:
-    """Radiance of what is shaded, as the picture's pixels have it."""
-    if view.nearest is not None:
-        return joined(jnp.zeros((*view.nearest.shape, radiance.shape[-1]), radiance.dtype), radiance, view.nearest)
-    factor = view.surfaces.factor
-    return averaged(radiance, factor) if factor > 1 else radiance
-
-
-@jax.jit
-def _image_of_samples(
-    own: Sequence[Float[Array, "h w 3"] | None],
-    direct: Float[Array, "fh fw 3"] | None,
-    covered: Bool[Array, "fh fw"],
-    nearest: Int[Array, "fh fw"],
-) -> Image:
-    """The picture of what pixels have of their own, which samples take from them, and of samples' direct light."""
-    first, *others = [part for part in own if part is not None]
-    radiance = sum(others, first)
-    direct = jnp.zeros((*covered.shape, 3), radiance.dtype) if direct is None else direct
-    alpha = averaged(covered.astype(radiance.dtype)[..., None], covered.shape[0] // radiance.shape[0])
-    return Image(joined(jnp.where(covered[..., None], direct, 0), radiance, nearest), alpha[..., 0])
-
-
 @jax.jit
 def _split(texels, basis):
     """Light vectors of an environment without its sun, and of the sun; its texels and their radiance."""
@@ -552,64 +461,9 @@ def _split(texels, basis):
     return rest.T, sun.T, split.texels, split.radiance
 
 
-def _terms(operator: Operator, light: Float[Array, "*n d c"], block: Block) -> Float[Array, "*n v k c"]:
-    """One block's light terms of a light or many, compiled unless the operator reads a store as it goes."""
-    receivers = padded_receivers(block.group_count * GROUP)
-    if isinstance(operator, Summed):
-        first, *others = (_terms(part, light, block) for part in operator.operators)
-        return sum(others, first)
-    if isinstance(operator, SparseRows):
-        return _compiled_terms(operator.with_filling(), light, receivers, block.reflection.terms)
-    if isinstance(operator, Clustered):
-        filled = operator.with_filling(receivers // GROUP)
-        return _compiled_terms(filled, light, receivers, block.reflection.terms)
-    return _product(operator, light, receivers, block.reflection.terms)
-
-
-def _with_emitted(terms: Float[Array, "*n v k c"], block: Block) -> Float[Array, "*n v k c"]:
-    """Light terms of the sky, and of what surfaces emit."""
-    return terms if block.emitted is None else _padded_sum(terms, block.emitted)
-
-
-@jax.jit
-def _padded_sum(terms, emitted):
-    emitted = jnp.pad(emitted, ((0, terms.shape[-3] - len(emitted)), (0, 0), (0, 0)))
-    # The terms are those of one light or of many.
-    return terms + jnp.broadcast_to(emitted, terms.shape)
-
-
-def _product(operator: Operator, light: Float[Array, "*n d c"], receivers: int, terms: int) -> Float[Array, "*n v k c"]:
-    """The product, its rows by receiver; cut, or followed by zeros, to a number of receivers."""
-    radiance = operator.apply(light) if light.ndim == 2 else operator.apply_many(light)
-    more = max(receivers * terms - radiance.shape[-2], 0)
-    radiance = jnp.pad(radiance, [*[(0, 0)] * (radiance.ndim - 2), (0, more), (0, 0)])[..., : receivers * terms, :]
-    return radiance.reshape(*radiance.shape[:-2], receivers, terms, radiance.shape[-1])
-
-
-_compiled_terms = jax.jit(_product, static_argnames=("receivers", "terms"))
-
-
 def _view_sides(reflection: Reflection) -> Reflection:
     """What the view needs of a reflection: of a fixed view only that there is one."""
     return FixedView(reflection.brdf, jnp.zeros(3)) if isinstance(reflection, FixedView) else reflection
-
-
-def _largest_errors(
-    dropped: Float[Array, "r c1"] | None, light: Float[Array, "d c"], block: Block
-) -> Float[Array, "v k c"]:
-    """Of each light term, the largest error that a light may have by what rows leave out."""
-    receivers, terms, channels = padded_receivers(block.group_count * GROUP), block.reflection.terms, light.shape[1]
-    if dropped is None:
-        return jnp.zeros((receivers, terms, channels), light.dtype)
-    return _products_of_lengths(dropped, light, receivers, terms)
-
-
-@functools.partial(jax.jit, static_argnames=("receivers", "terms"))
-def _products_of_lengths(dropped, light, receivers: int, terms: int):
-    lengths = jnp.sqrt(jnp.sum(jnp.square(light), axis=0))
-    rows = jnp.broadcast_to(jnp.sqrt(dropped), (len(dropped), len(lengths))) * lengths[None]
-    padded = jnp.pad(rows, ((0, max(receivers * terms - len(rows), 0)), (0, 0)))[: receivers * terms]
-    return padded.reshape(receivers, terms, -1)
 
 
 @functools.partial(jax.jit, static_argnames="bound")

@@ -208,3 +208,19 @@ def test_scenes_of_nothing_are_refused():
     point = Mesh(np.ones((3, 3)), np.array([[0, 1, 2]]), np.tile([0.0, 1, 0], (3, 1)))
     with pytest.raises(InputError, match="no size"):
         join([point])
+
+
+@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("height", [1.0, -1.0])
+def test_a_face_and_its_reverse_are_met_from_the_front(turn: int, height: float):
+    """From above it is the one, from below the other, with the weights of its own corners."""
+    vertices = np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, -1]])
+    reverse = np.roll([2, 1, 0], turn)
+    sheet = Mesh(vertices, np.array([[0, 1, 2], reverse]), np.tile([0.0, 1, 0], (3, 1)))
+    surfaces = join([sheet])
+    places = np.array([[-0.5, height, -0.2], [-0.9, height, 0.7], [0.2, height, -0.6]])
+    rays = np.tile([0.0, -np.sign(height), 0], (3, 1))
+    face, weights = Tracer(surfaces).first_hits(places, rays)
+    assert (face == (0 if height > 0 else 1)).all()
+    hits = np.einsum("rk,rkx->rx", weights, surfaces.vertices[surfaces.faces[face]])
+    np.testing.assert_allclose(hits, places * [1, 0, 1], atol=1e-6)

@@ -116,3 +116,21 @@ def test_errors_are_measured_of_them_and_they_can_be_arguments_of_compiled_funct
 def test_other_numbers_of_samples_are_refused(name: str):
     with pytest.raises(InputError, match="antialiasing is 2; it must be 1, 4 or 16"):
         relighter(name).view(antialiasing=2)
+
+
+def test_what_no_pixel_sees_is_no_dark_spot(tmp_path):
+    """A strip between the centres of pixels, which are the receivers: its samples are like none, and do not count."""
+    upright, aside = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]), np.eye(4)
+    aside[0, 3] = 0.9
+    strip = jr.transformed(jr.plane((0.05, 4), 1), upright)
+    ball = jr.transformed(jr.sphere(0.3, 8), aside)
+    camera = jr.Camera((0, 0, 3.0), (0, 0, 0), fov_y=45.0, width=14, height=12)
+    parts = [jr.Part(strip, "grey"), jr.Part(ball, "grey")]
+    scene = jr.Scene(parts, {"grey": jr.lambert(0.5)}, camera, [ONES])
+    one = jr.prepare(scene, METHODS["pixels"], tmp_path)
+    assert not np.asarray(one.view().surfaces.covered)[:, 6:8].any()
+    image = one.shade(one.light(scene.lights), one.view(antialiasing=16))
+    alpha = np.asarray(image.alpha)
+    assert not alpha[:, 6:8].any()
+    seen = alpha > 0
+    assert np.asarray(image.radiance)[seen].min() > 0.3 * alpha[seen].min()

@@ -12,7 +12,8 @@ from jaxrelight import Part, Scene
 from jaxrelight.basis import latlong
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.geometry import mesh as meshes
-from jaxrelight.lighting.transport import TransportRelighter, TransportView
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.lighting.transport_view import TransportView
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport.compression import padded_receivers

@@ -7,7 +7,8 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import InputError, Scene
-from jaxrelight.lighting.transport import TransportRelighter, TransportView
+from jaxrelight.lighting.transport import TransportRelighter
+from jaxrelight.lighting.transport_view import TransportView
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from tests.opening import open_transport

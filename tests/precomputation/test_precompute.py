@@ -34,6 +34,7 @@ from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.precomputation import layers as stages
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.material_rows import MaterialRows
+from jaxrelight.precomputation.placing import geometry_keys
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
 from jaxrelight.transport.model import PrecomputedTransport
@@ -874,3 +875,13 @@ def test_a_part_of_an_unknown_material_is_refused(tmp_path):
     scene = dataclasses.replace(_small_scene(), materials={})
     with pytest.raises(jr.InputError, match=r"paper|gloss"):
         precompute(scene, METHOD, tmp_path)
+
+
+def test_rays_of_pure_shading_normals_are_others():
+    mesh = jr.sphere(0.5, 4)
+    keys = set()
+    for pure in (False, True):
+        part = jr.Part(dataclasses.replace(mesh, pure_normals=pure), "grey")
+        scene = jr.Scene([part], {"grey": jr.lambert(0.5)}, jr.Camera((0, 0, 3), (0, 0, 0)))
+        keys.add(geometry_keys(scene, scene.surfaces()))
+    assert len({rays for rays, _ in keys}) == 2

@@ -10,6 +10,7 @@ from PIL import Image
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.brdf.texture import Texture, VertexColours, look_up
+from jaxrelight.geometry.file_materials import FileMaterial, FilePicture
 from jaxrelight.geometry.mesh import load_parts
 from jaxrelight.scene.materials import from_file
 from tests.geometry.gltf_writer import Gltf
@@ -327,3 +328,18 @@ def test_reported_files(case):
         seen[name] = np.asarray(texture.look_up(np.array([*at, 1.0]) @ plane)).argmax()  # pyright: ignore
     wanted = {"g02_textransform": (1, 1, 1), "g03_gltfpack": (0, 1, 2), "v3_clamp": (0, 2, 0)}[case]
     assert (seen["left"], seen["right"], seen["below"]) == wanted
+
+
+@pytest.mark.parametrize(
+    ("colour", "is_map"),
+    [((191, 166, 231), True), ((128, 128, 255), True), ((90, 90, 90), False), ((200, 50, 50), False)],
+)
+def test_bump_maps_are_normal_maps_where_their_colours_are_normals(colour, is_map: bool):
+    pixels = np.tile(np.array(colour, np.uint8), (4, 4, 1))
+    material, notes = from_file(FileMaterial(bump_picture=FilePicture(_encoded(pixels)), normal_scale=0.5))
+    bumps = as_material(material).normal_map
+    assert (bumps is not None) == is_map
+    assert notes == ([] if is_map else ["its bump map of heights is left out; give a normal_map"])
+    if bumps is not None:
+        wanted = pixels[0, 0] / 255 * [0.5, 0.5, 1] + [0.25, 0.25, 0]
+        np.testing.assert_allclose(np.asarray(bumps.pixels)[0, 0], wanted, atol=1e-6)
