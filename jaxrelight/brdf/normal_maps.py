@@ -100,7 +100,13 @@ def _turned_to_eye(
 
 
 def is_normal_map(pixels: Float[np.ndarray, "h w c"]) -> bool:
-    """Whether an image holds unit normals as (n + 1)/2 that lean to +z, rather than heights or colours."""
+    """Whether an image holds unit normals as (n + 1)/2 that lean most to +z, rather than heights or colours.
+
+    A light grey would be of unit length, too, but leans to all sides alike.
+    """
+    if pixels.shape[-1] < 3:
+        return False
     normals = 2 * pixels[..., :3].astype(float) - 1
     of_unit_length = np.abs(np.linalg.norm(normals, axis=-1) - 1) < _NORMAL_LENGTH_ERROR
-    return pixels.shape[-1] >= 3 and bool((of_unit_length & (normals[..., 2] > 0)).mean() > 0.5)
+    upright = normals[..., 2] > np.abs(normals[..., :2]).max(axis=-1) + _NORMAL_LENGTH_ERROR
+    return bool((of_unit_length & upright).mean() > 0.5)

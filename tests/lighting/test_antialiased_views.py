@@ -122,7 +122,7 @@ def test_what_no_pixel_sees_is_no_dark_spot(tmp_path):
     """A strip between the centres of pixels, which are the receivers: its samples are like none, and do not count."""
     upright, aside = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]), np.eye(4)
     aside[0, 3] = 0.9
-    strip = jr.transformed(jr.plane((0.05, 4), 1), upright)
+    strip = jr.transformed(jr.plane((0.08, 4), 1), upright)
     ball = jr.transformed(jr.sphere(0.3, 8), aside)
     camera = jr.Camera((0, 0, 3.0), (0, 0, 0), fov_y=45.0, width=14, height=12)
     parts = [jr.Part(strip, "grey"), jr.Part(ball, "grey")]

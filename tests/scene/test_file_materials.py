@@ -332,7 +332,13 @@ def test_reported_files(case):
 
 @pytest.mark.parametrize(
     ("colour", "is_map"),
-    [((191, 166, 231), True), ((128, 128, 255), True), ((90, 90, 90), False), ((200, 50, 50), False)],
+    [
+        ((191, 166, 231), True),
+        ((128, 128, 255), True),
+        ((90, 90, 90), False),
+        ((201, 201, 201), False),
+        ((90, 90, 160), False),
+    ],
 )
 def test_bump_maps_are_normal_maps_where_their_colours_are_normals(colour, is_map: bool):
     pixels = np.tile(np.array(colour, np.uint8), (4, 4, 1))
