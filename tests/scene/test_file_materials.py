@@ -337,7 +337,7 @@ def test_reported_files(case):
         ((128, 128, 255), True),
         ((90, 90, 90), False),
         ((201, 201, 201), False),
-        ((90, 90, 160), False),
+        ((128, 128, 200), False),
     ],
 )
 def test_bump_maps_are_normal_maps_where_their_colours_are_normals(colour, is_map: bool):
