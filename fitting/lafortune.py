@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from fitting.albedo_error import albedo_error
 from fitting.brdf_samples import BrdfSamples, Grid, sample
-from fitting.energy import albedo_error
 from fitting.residual_by_angle import Residual
 from fitting.solve import Options, Verdict, fit_lobes
 from fitting.weights import weights
@@ -36,7 +36,7 @@ class LafortuneFit:
         verdict: judged by residual and uncertainty, never by whether a solver stopped; and, of a fit that is good in
             these, by the light that it reflects and by what was held out.
         albedo_error: the largest relative difference of directional albedos of the fit and the data; see
-            `energy.albedo_error`.
+            `albedo_error`.
         exponent_deviation: standard deviation of each log exponent, from the Jacobian; [l, c1].
         C_deviation: that of the direction of C, in radians; [l, c1].
         used: number of samples with weight.

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from fitting.checks import check_lights
 from fitting.stack import Stack
+from fitting.stack_checks import check_lights
 
 # The darkest images of a pixel may lie in shadow and the brightest in a highlight: these shares are left out.
 DARK, BRIGHT = 0.15, 0.15

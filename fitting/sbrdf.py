@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from fitting.checks import check_fit, check_stack
 from fitting.normals import estimated_normals
 from fitting.residuals import columns, factors
 from fitting.samples import prepare
 from fitting.solve import Fits, Options, Verdict, fit_lobes
 from fitting.stack import Stack
+from fitting.stack_checks import check_fit, check_stack
 from jaxrelight.brdf.files.sbrdf import SbrdfLevel
 from jaxrelight.brdf.lobes import LobeSum, turned
 from jaxrelight.brdf.spatial import SpatialLobes

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fitting.checks import check_fit, check_lights, check_stack
 from fitting.normals import estimated_normals
 from fitting.sbrdf import fit_sbrdf
 from fitting.solve import Verdict
 from fitting.stack import Stack, stack_of
+from fitting.stack_checks import check_fit, check_lights, check_stack
 from jaxrelight.errors import InputError
 from tests.fitting.test_normals import _ball, _lights
 
