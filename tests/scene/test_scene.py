@@ -5,7 +5,6 @@ import pathlib
 import re
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
@@ -14,6 +13,7 @@ from jaxrelight import InputError, Scene, ashikhmin_shirley, lambert, load_mesh,
 from jaxrelight.brdf.factoring import Factoring
 from jaxrelight.brdf.material import Component, as_material
 from jaxrelight.brdf.texture import Texture
+from tests.scene.scene_files import SMALL, values_of, write_scene
 from tests.shared_data import shared
 
 GOOD = """
@@ -62,37 +62,11 @@ resolution = 1
 material = "brushed"
 """
 
-# The same without what most refusals are not about.
-SMALL = """
-[camera]
-origin = [0, 1, 3]
-target = [0, 0, 0]
-[material.paper]
-type = "lambert"
-albedo = 0.5
-[[mesh]]
-primitive = "plane"
-resolution = 2
-material = "paper"
-"""
-
-
-@pytest.fixture
-def folder(tmp_path: pathlib.Path) -> pathlib.Path:
-    write_image(tmp_path / "sky.exr", np.ones((4, 8, 3)))
-    return tmp_path
-
-
-def _write(folder: pathlib.Path, text: str) -> pathlib.Path:
-    path = folder / "scene.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
-
 
 def _refusal(folder: pathlib.Path, text: str, names: str = "scene.toml") -> str:
     """The message with which a scene is refused: one line that names the file."""
     with pytest.raises(InputError) as caught:
-        load_scene(_write(folder, text))
+        load_scene(write_scene(folder, text))
     message = str(caught.value)
     assert len(message.splitlines()) == 1
     assert names in message
@@ -106,20 +80,11 @@ def _changed(text: str, old: str, new: str) -> str:
 
 def _brdf(folder: pathlib.Path, lines: str):
     text = _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines)
-    return load_scene(_write(folder, text)).materials["paper"]
-
-
-def _values(brdf) -> np.ndarray:
-    """A BRDF at twenty pairs of directions."""
-    directions = np.random.default_rng(1).normal(size=(2, 20, 3))
-    directions[..., 2] = np.abs(directions[..., 2])
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    pairs = zip(*jnp.asarray(directions, jnp.float32), strict=True)
-    return np.stack([np.asarray(brdf.evaluate(omega_i, omega_o)) for omega_i, omega_o in pairs])
+    return load_scene(write_scene(folder, text)).materials["paper"]
 
 
 def test_every_key_is_read(folder):
-    scene = load_scene(_write(folder, GOOD))
+    scene = load_scene(write_scene(folder, GOOD))
     camera, sky = scene.camera, scene.lights.environment
     assert (tuple(camera.origin), tuple(camera.target), tuple(camera.up)) == ((0, 1, 3), (0, 0, 0), (0, 1, 0))
     assert (camera.fov_y, camera.width, camera.height) == (40, 8, 6)
@@ -136,12 +101,12 @@ def test_every_key_is_read(folder):
     np.testing.assert_allclose([floor.min(axis=0), floor.max(axis=0)], [[0.5, 2, 2.25], [1.5, 2, 3.75]], atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(ball, axis=-1), 0.25)
     np.testing.assert_allclose(np.ptp(block, axis=0), [1, 2, 3])
-    np.testing.assert_allclose(_values(scene.materials["paper"]), _values(lambert([0.5, 0.4, 0.3])))
-    np.testing.assert_allclose(_values(scene.materials["lacquer"]), _values(phong(0.1, [0.2, 0.3, 0.4], 12)))
+    np.testing.assert_allclose(values_of(scene.materials["paper"]), values_of(lambert([0.5, 0.4, 0.3])))
+    np.testing.assert_allclose(values_of(scene.materials["lacquer"]), values_of(phong(0.1, [0.2, 0.3, 0.4], 12)))
 
 
 def test_defaults(folder):
-    scene = load_scene(_write(folder, SMALL))
+    scene = load_scene(write_scene(folder, SMALL))
     assert not scene.lights
     assert (scene.camera.width, scene.camera.height, scene.camera.fov_y) == (512, 512, 38)
     np.testing.assert_array_equal(scene.parts[0].mesh.vertices, plane(resolution=2).vertices)
@@ -150,7 +115,7 @@ def test_defaults(folder):
 def test_lights_are_an_environment_and_local_ones_together(folder):
     """From a file as from code, and in any form that stands for them."""
     lamp = '[[light]]\ntype = "point"\nposition = [0, 1, 0]\nintensity = 2\n'
-    scene = load_scene(_write(folder, SMALL + '[environment]\nfile = "sky.exr"\n' + lamp))
+    scene = load_scene(write_scene(folder, SMALL + '[environment]\nfile = "sky.exr"\n' + lamp))
     environment, local = scene.lights.environment, scene.lights.local
     assert environment is not None
     assert [type(light).__name__ for light in local] == ["Point"]
@@ -170,23 +135,25 @@ def test_factors_of_a_material(folder):
         ('form = "nonnegative"', Factoring(form="nonnegative")),
         ('terms_error = 0.1\nparametrisation = "polar"', Factoring(error=0.1, parametrisation="polar")),
     ):
-        scene = load_scene(_write(folder, _changed(GOOD, "exponent = 12", f"exponent = 12\n{asked}")))
+        scene = load_scene(write_scene(folder, _changed(GOOD, "exponent = 12", f"exponent = 12\n{asked}")))
         assert scene.factors == {"lacquer": wanted}
-    assert load_scene(_write(folder, GOOD)).factors == {}
+    assert load_scene(write_scene(folder, GOOD)).factors == {}
 
 
 def test_emission_of_a_material(folder):
     for number, radiance in (("2.5", [2.5, 2.5, 2.5]), ("[3, 2, 0]", [3, 2, 0])):
-        scene = load_scene(_write(folder, _changed(SMALL, "albedo = 0.5", f"albedo = 0.5\nemission = {number}")))
+        scene = load_scene(write_scene(folder, _changed(SMALL, "albedo = 0.5", f"albedo = 0.5\nemission = {number}")))
         assert scene.emits
         np.testing.assert_array_equal(as_material(scene.materials["paper"]).emission, radiance)
-    assert not load_scene(_write(folder, _changed(SMALL, "albedo = 0.5", "albedo = 0.5\nemission = 0"))).emits
+    assert not load_scene(write_scene(folder, _changed(SMALL, "albedo = 0.5", "albedo = 0.5\nemission = 0"))).emits
 
 
 def test_mesh_file_is_relative_to_the_scene(folder):
     (folder / "sub").mkdir()
     (folder / "sub" / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    scene = load_scene(_write(folder, _changed(SMALL, 'primitive = "plane"\nresolution = 2', 'file = "sub/one.obj"')))
+    scene = load_scene(
+        write_scene(folder, _changed(SMALL, 'primitive = "plane"\nresolution = 2', 'file = "sub/one.obj"'))
+    )
     assert scene.parts[0].name == "one.obj"
     np.testing.assert_array_equal(scene.parts[0].mesh.vertices, load_mesh(folder / "sub" / "one.obj").vertices)
 
@@ -195,7 +162,7 @@ def test_notes_name_the_part(folder):
     (folder / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 3\n")
     write_image(folder / "sky.exr", np.full((4, 8, 3), -1.0))
     text = _changed(SMALL, 'primitive = "plane"\nresolution = 2', 'file = "one.obj"')
-    scene = load_scene(_write(folder, text + '[environment]\nfile = "sky.exr"\n'))
+    scene = load_scene(write_scene(folder, text + '[environment]\nfile = "sky.exr"\n'))
     assert len(scene.notes) == 2
     assert scene.notes[0].startswith("one.obj: ")
     assert scene.notes[1].startswith("sky.exr: 32 ")
@@ -418,7 +385,7 @@ def test_nonfinite_environment_is_zeroed_when_asked(folder):
     pixels = np.ones((4, 8, 3))
     pixels[1, 2, 0] = np.inf
     write_image(folder / "sky.exr", pixels)
-    scene = load_scene(_write(folder, SMALL + '[environment]\nfile = "sky.exr"\n'), zero_nonfinite=True)
+    scene = load_scene(write_scene(folder, SMALL + '[environment]\nfile = "sky.exr"\n'), zero_nonfinite=True)
     assert scene.lights.environment is not None
     assert np.sum(scene.lights.environment.pixels) == 3 * 31
     assert scene.notes == ("sky.exr: 1 NaN or infinite pixels were set to 0",)
@@ -428,19 +395,19 @@ def test_lafortune_numbers_may_differ_by_channel(folder):
     head = 'type = "lafortune"\ndiffuse = {0}\nlobes = [{{C = {1}, exponent = {2}, specular = {3}}}]'
     C = [[-1, -1, 0.9], [-0.8, -0.9, 0.7], [0.6, 0.5, 0.95]]
     diffuse, exponent, specular = [0.1, 0.2, 0.3], [2, 5, 9], [0.4, 0.5, 0.6]
-    together = _values(_brdf(folder, head.format(diffuse, C, exponent, specular)))
+    together = values_of(_brdf(folder, head.format(diffuse, C, exponent, specular)))
     assert together.shape == (20, 3)
     for c in range(3):
-        alone = _values(_brdf(folder, head.format(diffuse[c], C[c], exponent[c], specular[c])))
+        alone = values_of(_brdf(folder, head.format(diffuse[c], C[c], exponent[c], specular[c])))
         np.testing.assert_allclose(together[:, c], alone[:, c], rtol=1e-6)
     assert np.ptp(together, axis=-1).max() > 0.05
 
 
 def test_peak_and_specular_forms_agree(folder):
     head = 'type = "lafortune"\ndiffuse = 0.1\nlobes = [{{C = [-0.8, -0.8, 0.5], exponent = 7, {}}}]'
-    specular = _values(_brdf(folder, head.format("specular = [1, 2, 3]")))
+    specular = values_of(_brdf(folder, head.format("specular = [1, 2, 3]")))
     largest = [factor * 0.8**7 for factor in (1, 2, 3)]
-    np.testing.assert_allclose(_values(_brdf(folder, head.format(f"peak = {largest}"))), specular, rtol=1e-6)
+    np.testing.assert_allclose(values_of(_brdf(folder, head.format(f"peak = {largest}"))), specular, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -522,7 +489,7 @@ def test_what_is_no_number_for_float32_is_refused(tmp_path, albedo):
     ],
 )
 def test_a_material_that_makes_light_is_told(folder, lines: str, albedo: str | None):
-    scene = load_scene(_write(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines)))
+    scene = load_scene(write_scene(folder, _changed(SMALL, 'type = "lambert"\nalbedo = 0.5', lines)))
     told = [f"[material.paper]: reflects {albedo} times the light it gets; lower its colours"]
     assert list(scene.notes) == (told if albedo else [])
 
@@ -531,7 +498,7 @@ def test_light_made_by_a_mixture_is_told(folder):
     parts = ", ".join(f'{{material = "white", weight = {weight}}}' for weight in (0.7, 0.8))
     white = '[material.white]\ntype = "lambert"\nalbedo = 1\n[material.paper]\ntype = "mixture"\n'
     text = _changed(SMALL, '[material.paper]\ntype = "lambert"\nalbedo = 0.5', f"{white}parts = [{parts}]")
-    (note,) = load_scene(_write(folder, text)).notes
+    (note,) = load_scene(write_scene(folder, text)).notes
     assert note.startswith("[material.paper]: reflects 1.5 times")
 
 
@@ -554,17 +521,17 @@ def test_pictures_for_colours(folder):
     text = GOOD.replace("albedo = [0.5, 0.4, 0.3]", 'albedo = "wood.png"').replace(
         "diffuse = 0.1", 'diffuse = "wood.png"'
     )
-    scene = load_scene(_write(folder, text))
+    scene = load_scene(write_scene(folder, text))
     wood, lacquer = as_material(scene.materials["paper"]), as_material(scene.materials["lacquer"])
     linear = ((188 / 255 + 0.055) / 1.055) ** 2.4
     (component,) = wood.components
     np.testing.assert_allclose(_image_of(component)[:, 0], [[1, 0, linear], [0, 1, 1]], rtol=1e-5)
-    np.testing.assert_allclose(_values(component.brdf), 1 / np.pi, rtol=1e-6)
+    np.testing.assert_allclose(values_of(component.brdf), 1 / np.pi, rtol=1e-6)
     diffuse, specular = lacquer.components
     # The ball has no texture coordinates.
     np.testing.assert_allclose(_image_of(diffuse)[0, 0], component.weight[0].mean, rtol=1e-6)
     np.testing.assert_allclose(_image_of(specular), [[[0.2, 0.3, 0.4]]], rtol=1e-6)
-    np.testing.assert_allclose(_values(specular.brdf)[:, 0], _values(phong(0, 1, 12))[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(values_of(specular.brdf)[:, 0], values_of(phong(0, 1, 12))[:, 0], rtol=1e-6)
 
 
 def test_mixtures_and_normal_maps(folder):
@@ -577,7 +544,7 @@ def test_mixtures_and_normal_maps(folder):
     )
     mixed = f'[material.mixed]\ntype = "mixture"\nnormal_map = "bumps.png"\nparts = [{", ".join(parts)}]\n'
     mixed += '[[mesh]]\nprimitive = "plane"\n'
-    scene = load_scene(_write(folder, GOOD.replace('[[mesh]]\nprimitive = "plane"\n', mixed)))
+    scene = load_scene(write_scene(folder, GOOD.replace('[[mesh]]\nprimitive = "plane"\n', mixed)))
     material = as_material(scene.materials["mixed"])
     factors = [factor for component in material.components for factor in component.weight]
     weights = [np.asarray(factor.pixels).ravel() for factor in factors if isinstance(factor, Texture)]
@@ -612,142 +579,3 @@ def test_mixtures_and_normal_maps(folder):
 )
 def test_faults_of_what_varies(folder, old: str, new: str, what: str):
     assert what in _refusal(folder, _changed(SMALL, old, new))
-
-
-TWO = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nusemtl wood\nf 1/1 2/2 3/1\nusemtl steel\nf 1 3 4\n"
-
-
-def _with_file(folder, lines: str, **options):
-    (folder / "two.obj").write_text(TWO)
-    text = SMALL.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)
-    return load_scene(_write(folder, text), **options)
-
-
-def test_a_files_own_materials_and_those_that_override_them(folder):
-    scene = _with_file(folder, 'file = "two.obj"\nmaterials = {steel = "paper"}\nnormalize = 2')
-    assert [part.material for part in scene.parts] == ["two.obj:wood", "paper"]
-    assert "two.obj: says nothing about its materials, taken as grey: wood" in scene.notes[-1]
-    both = np.concatenate([part.mesh.vertices for part in scene.parts])
-    np.testing.assert_allclose([both.min(axis=0), both.max(axis=0)], [[-1, 0, 0], [1, 2, 0]], atol=1e-12)
-    scene = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\ntwo_sided = true')
-    assert [part.material for part in scene.parts] == ["paper"]
-    assert scene.parts[0].mesh.two_sided
-    (folder / "two.mtl").write_text(
-        "newmtl wood\nKd 1 1 1\nKs 1 1 1\nNs 9\nmap_Kd none.png\nnewmtl steel\nKd 0.2 0.2 0.2\n"
-    )
-    (folder / "two.obj").write_text("mtllib two.mtl\n" + TWO)
-    scene = load_scene(folder / "scene.toml")
-    assert scene.notes == ()
-    text = (folder / "scene.toml").read_text().replace('material = "paper"\ntwo_sided = true', "")
-    scene = load_scene(_write(folder, text))
-    np.testing.assert_allclose(_values(scene.materials["two.obj:steel"]), 0.2 / np.pi, rtol=1e-6)
-    np.testing.assert_allclose(_values(scene.materials["two.obj:wood"]), _values(phong(0.5, 0.5, 9)), rtol=1e-6)
-    assert "none.png: no such file" in scene.notes[0]
-    assert "diffuse and specular add up to 2, scaled down to 1" in scene.notes[1]
-
-
-def test_parts_that_are_not_named_have_a_default(folder):
-    scene = _with_file(folder, 'file = "two.obj"\nmaterials = {"*" = "paper"}')
-    assert [part.material for part in scene.parts] == ["paper", "paper"]
-    text = SMALL + '[material.ink]\ntype = "lambert"\nalbedo = 0.1\n'
-    lines = 'file = "two.obj"\nmaterials = {steel = "ink", "*" = "paper"}'
-    scene = load_scene(_write(folder, text.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)))
-    assert [part.material for part in scene.parts] == ["paper", "ink"]
-
-
-@pytest.mark.parametrize(
-    ("lines", "corner"),
-    [
-        ("", (2, 0, 3)),
-        ("translate = [1, 2, 3]", (3, 2, 6)),
-        ("scale = 2", (4, 0, 6)),
-        ("scale = [2, 1, -1]", (4, 0, -3)),
-        ("rotate = [0, 90, 0]", (3, 0, -2)),
-        ("rotate = [90, 90, 0]", (-0, -3, -2)),
-        ("rotate = [0, 7, 0, 90]", (3, 0, -2)),
-        # First scaled, then turned, then moved.
-        ("scale = [1, 1, 2]\nrotate = [0, 0, 0.5, 90]\ntranslate = [0, 0, 1]", (0, 2, 7)),
-    ],
-)
-def test_meshes_are_scaled_turned_and_moved(folder, lines: str, corner):
-    lines = f'primitive = "plane"\nsize = [4, 6]\nresolution = 1\nmaterial = "paper"\n{lines}'
-    text = SMALL.replace('primitive = "plane"\nresolution = 2\nmaterial = "paper"', lines)
-    vertices = load_scene(_write(folder, text)).parts[0].mesh.vertices
-    assert np.abs(vertices - corner).max(axis=1).min() < 1e-9
-
-
-def test_files_may_have_z_up(folder):
-    for lines, up in (('up = "z"', "y"), ("", "z")):
-        mesh = _with_file(folder, f'file = "two.obj"\nmaterial = "paper"\n{lines}', up=up).parts[0].mesh
-        np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[0, 0, -1], [1, 0, 0]])
-        np.testing.assert_allclose(mesh.normals, np.broadcast_to([0.0, 1, 0], mesh.normals.shape), atol=1e-12)
-    mesh = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\nup = "y"', up="z").parts[0].mesh
-    assert mesh.vertices[:, 1].max() == 1
-    # Before it is normalized: it lies on the ground.
-    mesh = _with_file(folder, 'file = "two.obj"\nmaterial = "paper"\nup = "z"\nnormalize = 2').parts[0].mesh
-    np.testing.assert_allclose([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)], [[-1, 0, -1], [1, 0, 1]])
-
-
-@pytest.mark.parametrize(
-    ("lines", "what"),
-    [
-        ('up = "x"', "'up' is \"y\" or \"z\", not 'x'"),
-        ("scale = [1, 0, 1]", "'scale' is [1, 0, 1], which flattens the mesh"),
-        ("rotate = [1, 2]", "'rotate' must be 3 numbers or 4 numbers"),
-        ("rotate = [0, 0, 0, 90]", "'rotate' has an axis of length 0"),
-        ("translate = 1", "'translate' must be 3 numbers"),
-        (
-            "rotate = [1, 2, 3]\ntransform = [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]",
-            "give either 'transform' or 'rotate'; both would move the mesh",
-        ),
-    ],
-)
-def test_faults_of_places_are_named(folder, lines: str, what: str):
-    with pytest.raises(InputError, match=re.escape(what)):
-        _with_file(folder, f'file = "two.obj"\nmaterial = "paper"\n{lines}')
-
-
-def test_primitives_have_no_other_axis(folder):
-    with pytest.raises(InputError, match="'up' is not known"):
-        load_scene(_write(folder, SMALL.replace("resolution = 2", 'resolution = 2\nup = "z"')))
-
-
-def test_a_scene_needs_no_materials_of_its_own(folder):
-    (folder / "two.obj").write_text(TWO)
-    text = "[camera]\norigin = [0, 1, 3]\ntarget = [0, 0, 0]\n[[mesh]]\nfile = 'two.obj'\n"
-    assert set(load_scene(_write(folder, text)).materials) == {"two.obj:wood", "two.obj:steel"}
-
-
-@pytest.mark.parametrize(
-    ("lines", "what"),
-    [
-        ('materials = {stele = "paper"}', "'stele' is not known; did you mean 'steel'?"),
-        ('materials = {steel = "papre"}', "there is no [material.papre]; did you mean 'paper'?"),
-        ("materials = 3", "must be a table"),
-        ('tangents = "uv"', "needs texture coordinates, which 'steel' does not have"),
-    ],
-)
-def test_faults_of_materials_by_part(folder, lines: str, what: str):
-    with pytest.raises(InputError, match=re.escape(what)):
-        _with_file(folder, f'file = "two.obj"\n{lines}')
-
-
-RIDGE = "v -1 -1 -0.8\nv 0 -1 0\nv 0 1 0\nv -1 1 -0.8\nv 1 -1 -0.8\nv 1 1 -0.8\nf 1 2 3 4\nf 2 5 6 3\n"
-
-
-def test_creases_and_shading_normals(folder):
-    (folder / "ridge.obj").write_text(RIDGE)
-    sharp, smooth, pure = (
-        _with_file(folder, f'file = "ridge.obj"\nmaterial = "paper"\n{lines}').parts[0].mesh
-        for lines in ("", "crease_angle = 90", 'shading_normals = "pure"')
-    )
-    assert (len(sharp.vertices), len(smooth.vertices)) == (8, 6)
-    assert [mesh.pure_normals for mesh in (sharp, smooth, pure)] == [False, False, True]
-    for lines, words in (
-        ("crease_angle = 200", "crease_angle is 200; give degrees from 0"),
-        ('shading_normals = "smooth"', "'shading_normals' is \"corrected\" or \"pure\", not 'smooth'"),
-    ):
-        with pytest.raises(InputError, match=words):
-            _with_file(folder, f'file = "ridge.obj"\nmaterial = "paper"\n{lines}')
-    with pytest.raises(InputError, match="crease_angle is for files"):
-        _with_file(folder, 'primitive = "plane"\nmaterial = "paper"\ncrease_angle = 30')
