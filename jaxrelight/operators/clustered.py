@@ -1,6 +1,7 @@
 """The clustered operator: rows of near receivers as mixtures of a few (Sloan et al. 2003; Liu et al. 2004)."""
 
 import collections
+import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -9,9 +10,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Integer
+from jaxtyping import Array, Bool, Float, Int, Integer, PyTree
 
 from jaxrelight.operators.contract import Operator
+from jaxrelight.operators.multilinear import Multilinear
 from jaxrelight.operators.quantised import Quantised, decoded, decoded_type, quantised
 from jaxrelight.operators.sparse_rows import smallest_index_type
 
@@ -124,68 +126,35 @@ class Clustered(Operator):
     @jax.jit
     def _apply(self, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
         """Per group one gather of light and two small products."""
-        channels = light.shape[1]
-        nothing = jnp.zeros((1, self.group_rows, channels), light.dtype)
-        mixed = jnp.concatenate([*(_by_channel(part, light) for part in self.buckets), nothing])
-        return mixed.at[self.place].get(mode="promise_in_bounds").reshape(-1, channels)
+        fixed, bases, weights = self._split()
+        return self._product(fixed, bases, weights, light)
 
     @jax.jit
     def _apply_many(self, lights: Float[Array, "n d c"]) -> Float[Array, "n r c"]:
-        """Products of matrices, a few groups at a time, to stay in cache.
+        """Products of matrices, a few groups at a time."""
+        return jax.vmap(self._apply)(lights)
 
-        Light is multiplied with the shared rows in all channels at once, and with the weights in each.
-        """
-        n, _, channels = lights.shape
-        # Each column is one run of numbers to gather: of c channels and n lights.
-        side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, channels * n)
-        dtype = jnp.result_type(lights, self._dtype)
-        out = jnp.zeros((n, len(self.place), self.group_rows, channels), dtype)
-        for part in self.buckets:
-            b = len(part.groups)
-            few = min(_GROUP_BATCH, b)
+    @jax.jit
+    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
+        """The two products the other way round; every column is a sum over its holders."""
+        fixed, bases, weights = self._split()
+        light = jax.ShapeDtypeStruct((self.columns, radiance.shape[1]), jnp.result_type(radiance, self._dtype))
+        return self._product.partial(2, fixed, (bases, weights, None, radiance), light)
 
-            def some(out, start, part=part, few=few):
-                chosen = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, few), part)
-                radiance = jax.vmap(lambda group: _at_once(group, side_by_side, channels))(chosen)
-                # Radiance is written where it belongs at once: all of it is larger than the operator, and slow to move.
-                for i in range(few):
-                    out = jax.lax.dynamic_update_slice_in_dim(out, radiance[i][:, None], chosen.groups[i], axis=1)
-                return out, None
+    @property
+    def _product(self) -> "_Product":
+        return _Product(self.group_rows, self.columns)
 
-            # The last ones overlap those before, so that no bucket is cut, which would copy it.
-            out, _ = jax.lax.scan(some, out, np.minimum(np.arange(0, b, few), b - few).astype(np.int32))
-        return out.reshape(n, -1, channels)
+    def _split(self) -> tuple["Clustered", Any, Any]:
+        """The operator with what is held fixed alone, and the numbers of bases and weights."""
+        numbers, fixed = eqx.partition(self, eqx.is_inexact_array)
+        return fixed, [part.basis for part in numbers.buckets], [part.weights for part in numbers.buckets]
 
     @property
     def _dtype(self) -> np.dtype:
         """The precision of rows; single where no group holds anything."""
         numbers = [decoded_type(array) for part in self.buckets for array in (part.basis, part.weights)]
         return jnp.result_type(*numbers) if numbers else np.dtype(np.float32)
-
-    @jax.jit
-    def _transpose(self, radiance: Float[Array, "r c"]) -> Float[Array, "d c"]:
-        """The two products the other way round; every column is a sum over its holders.
-
-        That sum is in parallel, and as accurate as any; a scatter from the supports is neither.
-        """
-        channels = radiance.shape[1]
-        by_group = jnp.moveaxis(radiance.reshape(-1, self.group_rows, channels), 2, 1)
-        products = []
-        for part in self.buckets:
-            group_radiance = by_group.at[part.groups].get(mode="promise_in_bounds")
-            back = _mixtures(_of_one_channel(part.basis), _products(part.weights, group_radiance))
-            products.append(jnp.moveaxis(back, 1, 0).reshape(channels, -1))
-        held = jnp.concatenate([*products, jnp.zeros((channels, 1), radiance.dtype)], axis=1)
-        return jnp.stack([self._sums(held[c]) for c in range(channels)], axis=-1)
-
-    def _sums(self, held: Float[Array, " e"]) -> Float[Array, " d"]:
-        """Sums what the holders of every column hold, as products with ones; see `SparseRows`."""
-        sums = []
-        for places in self.holders:
-            gathered = held.at[places].get(mode="promise_in_bounds")
-            sums.append(jnp.matmul(gathered, jnp.ones(places.shape[1], held.dtype), precision="highest"))
-        sums.append(jnp.zeros(1, held.dtype))
-        return jnp.concatenate(sums).at[self.column_place].get(mode="promise_in_bounds")
 
     @jax.jit
     def _rows(self, indices: Int[Array, " i"]) -> Float[Array, "i c d"]:
@@ -202,10 +171,94 @@ class Clustered(Operator):
         return out
 
 
+@dataclasses.dataclass(frozen=True)
+class _Product(Multilinear):
+    """Weights · basis · light: linear in each of the three, and in the radiance of the rows."""
+
+    group_rows: int
+    columns: int
+
+    def product(self, fixed: PyTree, bases: PyTree, weights: PyTree, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
+        """Radiance: per group one gather of light and two small products."""
+        channels = light.shape[1]
+        nothing = jnp.zeros((1, self.group_rows, channels), light.dtype)
+        mixed = jnp.concatenate(
+            [*(_by_channel(part, light) for part in _joined_buckets(fixed, bases, weights)), nothing]
+        )
+        return mixed.at[fixed.place].get(mode="promise_in_bounds").reshape(-1, channels)
+
+    def adjoint(self, number: int, fixed: PyTree, arguments: Sequence[PyTree], like: PyTree) -> PyTree:
+        """Of light, the sum over the holders of a column is in parallel, and as accurate as any.
+
+        A scatter from the supports is neither.
+        """
+        if number != 2:
+            return super().adjoint(number, fixed, arguments, like)
+        bases, weights, _, radiance = arguments
+        channels = radiance.shape[1]
+        by_group = jnp.moveaxis(radiance.reshape(-1, self.group_rows, channels), 2, 1)
+        products = []
+        for part in _joined_buckets(fixed, bases, weights):
+            group_radiance = by_group.at[part.groups].get(mode="promise_in_bounds")
+            back = _mixtures(_of_one_channel(part.basis), _products(part.weights, group_radiance))
+            products.append(jnp.moveaxis(back, 1, 0).reshape(channels, -1))
+        held = jnp.concatenate([*products, jnp.zeros((channels, 1), radiance.dtype)], axis=1)
+        return jnp.stack([_sums(fixed, held[c]) for c in range(channels)], axis=-1)
+
+    def product_many(self, number: int, fixed: PyTree, *arguments: PyTree) -> PyTree | None:
+        """Products of matrices, a few groups at a time, to stay in cache.
+
+        Light is multiplied with the shared rows in all channels at once, and with the weights in each.
+        """
+        if number != 2:
+            return None
+        bases, weights, lights = arguments
+        n, _, channels = lights.shape
+        # Each column is one run of numbers to gather: of c channels and n lights.
+        side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, channels * n)
+        dtype = jnp.result_type(lights, *jax.tree.leaves((bases, weights)))
+        out = jnp.zeros((n, len(fixed.place), self.group_rows, channels), dtype)
+        for part in _joined_buckets(fixed, bases, weights):
+            b = len(part.groups)
+            few = min(_GROUP_BATCH, b)
+
+            def some(out, start, part=part, few=few):
+                chosen = jax.tree.map(lambda x: jax.lax.dynamic_slice_in_dim(x, start, few), part)
+                radiance = jax.vmap(lambda group: _at_once(group, side_by_side, channels))(chosen)
+                # Radiance is written where it belongs at once: all of it is larger than the operator, and slow to move.
+                for i in range(few):
+                    out = jax.lax.dynamic_update_slice_in_dim(out, radiance[i][:, None], chosen.groups[i], axis=1)
+                return out, None
+
+            # The last ones overlap those before, so that no bucket is cut, which would copy it.
+            out, _ = jax.lax.scan(some, out, np.minimum(np.arange(0, b, few), b - few).astype(np.int32))
+        return out.reshape(n, -1, channels)
+
+
+def _joined_buckets(fixed: PyTree, bases: PyTree, weights: PyTree) -> list[Bucket]:
+    """Buckets of what is held fixed and of numbers."""
+    parts = zip(fixed.buckets, bases, weights, strict=True)
+    return [
+        Bucket(one.groups, one.support, *eqx.combine((one.basis, one.weights), (basis, of))) for one, basis, of in parts
+    ]
+
+
+def _sums(fixed: Clustered, held: Float[Array, " e"]) -> Float[Array, " d"]:
+    """Sums what the holders of every column hold, as products with ones; see `SparseRows`."""
+    sums = []
+    for places in fixed.holders:
+        gathered = held.at[places].get(mode="promise_in_bounds")
+        sums.append(jnp.matmul(gathered, jnp.ones(places.shape[1], held.dtype), precision="highest"))
+    sums.append(jnp.zeros(1, held.dtype))
+    return jnp.concatenate(sums).at[fixed.column_place].get(mode="promise_in_bounds")
+
+
 def _by_channel(part: Bucket, light: Float[Array, "d c"]) -> Float[Array, "b r c"]:
     """The rows' radiance, channels apart: products with vectors read matrices at the speed of memory."""
-    support = part.support.astype(jnp.int32)
-    gathered = [light[:, c].at[support].get(mode="promise_in_bounds") for c in range(light.shape[1])]
+    support, is_real = part.support.astype(jnp.int32), _is_real(part.support)
+    gathered = [
+        jnp.where(is_real, light[:, c].at[support].get(mode="promise_in_bounds"), 0) for c in range(light.shape[1])
+    ]
     shared = _products(_of_one_channel(part.basis), jnp.stack(gathered, axis=1))
     return jnp.moveaxis(_mixtures(part.weights, shared), 1, 2)
 
@@ -214,6 +267,7 @@ def _at_once(part: Bucket, lights: Float[Array, "d cn"], channels: int) -> Float
     """Radiance of the rows of one group, a bucket without its first axis, under many lights."""
     basis = decoded(part.basis)
     gathered = lights.at[part.support.astype(jnp.int32)].get(mode="promise_in_bounds")
+    gathered = jnp.where(_is_real(part.support)[:, None], gathered, 0)
     shared = jnp.matmul(basis, gathered, precision="highest").reshape(len(basis), channels, -1)
     weights = decoded(part.weights)
     if len(weights) == 1:
@@ -221,6 +275,12 @@ def _at_once(part: Bucket, lights: Float[Array, "d cn"], channels: int) -> Float
     else:
         mixed = jnp.einsum("qcl,cqr->clr", shared, weights, precision="highest")
     return jnp.moveaxis(mixed, 0, 2)
+
+
+def _is_real(support: Integer[Array, "*b s"]) -> Bool[Array, "*b s"]:
+    """Which places are no filling: no light reaches that, so that nothing depends on the numbers that lie there."""
+    first = jnp.arange(support.shape[-1]) == 0
+    return (support > 0) | jnp.broadcast_to(first, support.shape)
 
 
 def _of_one_channel(basis: Float[Array, "b i n"] | Quantised) -> Float[Array, "b 1 i n"] | Quantised:

@@ -66,12 +66,16 @@ class Sharded(Operator):
         return _rows(self, indices)
 
 
+# What varies between devices is told by the layouts: products are primitives of our own, which JAX knows nothing about.
+_on_devices = functools.partial(jax.shard_map, check_vma=False)
+
+
 # Compiled even where the caller compiles nothing: JAX runs a program on the devices of many processes, not its steps.
 @jax.jit
 def _apply(operator: Sharded, light: Float[Array, "d c"]) -> Float[Array, "r c"]:
     split, replicated = _layouts(operator.mesh)
 
-    @functools.partial(jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, replicated.spec), out_specs=split.spec)
+    @functools.partial(_on_devices, mesh=operator.mesh, in_specs=(split.spec, replicated.spec), out_specs=split.spec)
     def own(shards, light):
         return _own(shards).apply(light)
 
@@ -90,7 +94,7 @@ def _transpose(operator: Sharded, radiance: Float[Array, "r c"]) -> Float[Array,
     m, c = operator.group_rows, radiance.shape[1]
 
     @functools.partial(
-        jax.shard_map, mesh=operator.mesh, in_specs=(split.spec, split.spec, replicated.spec), out_specs=replicated.spec
+        _on_devices, mesh=operator.mesh, in_specs=(split.spec, split.spec, replicated.spec), out_specs=replicated.spec
     )
     def summed(shards, groups, by_group):
         group_radiance = by_group.at[groups[0]].get(mode="promise_in_bounds").reshape(-1, c)
@@ -107,7 +111,7 @@ def _rows(operator: Sharded, indices: Int[Array, " i"]) -> Float[Array, "i c d"]
     (axis,), m, held = operator.mesh.axis_names, operator.group_rows, operator.groups.shape[1]
 
     @functools.partial(
-        jax.shard_map,
+        _on_devices,
         mesh=operator.mesh,
         in_specs=(split.spec, replicated.spec, replicated.spec),
         out_specs=replicated.spec,
