@@ -178,7 +178,7 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
     ],
 }
 ELSEWHERE = {
-    "lighting/filtered_reflection",
+    *("lighting/filtered_reflection", "operators/multilinear"),
     *("lighting/adaptive/estimate", "lighting/adaptive/hierarchy", "lighting/adaptive/prediction"),
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
 }

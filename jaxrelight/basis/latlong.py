@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float, Int, Real
+from jaxtyping import Array, Float, Real
 from scipy import sparse
 
 from jaxrelight.basis import cubemap
 from jaxrelight.basis.overlaps import overlaps
 from jaxrelight.numerics.numbers import Number
-from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
+from jaxrelight.operators.sparse_matrix import SparseMatrix, sparse_matrix
 
 
 def directions(u: Number | Real[np.ndarray, "..."], v: Number | Real[np.ndarray, "..."]) -> Float[np.ndarray, "... 3"]:
@@ -174,21 +174,14 @@ class AreaResampling(eqx.Module):
 
     Every weight is the share of a texel's solid angle that lies in a pixel. A texel's weights sum to 1, so a
     constant map stays constant, and a pixel's solid angle is given out whole, so one hot pixel keeps its energy.
-    Texels with about as many pixels are held together.
-
-    Attributes:
-        groups: rows of weights by number of pixels, padded to a power of two.
-        order: where each texel's row is found in the concatenated groups.
     """
 
-    groups: tuple[SparseRows, ...]
-    order: Int[Array, " d"]
+    matrix: SparseMatrix
 
     @jax.jit
     def apply(self, pixels: Float[Array, "h w c"]) -> Float[Array, "d c"]:
         """Mean radiance of every texel, in the order of `cubemap.directions`."""
-        flat = pixels.reshape(-1, pixels.shape[-1])
-        return jnp.concatenate([group.apply(flat) for group in self.groups])[self.order]
+        return self.matrix.apply(pixels.reshape(-1, pixels.shape[-1]))
 
 
 @functools.lru_cache(maxsize=4)
@@ -196,21 +189,6 @@ def area_resampling(height: int, width: int, resolution: int, dtype: DTypeLike =
     """The resampling from a height × width lat-long map to a 6×resolution×resolution cube map, by weights of a type."""
     texel, pixel, shared = (np.concatenate(parts) for parts in zip(*overlaps(height, width, resolution), strict=True))
     shares = sparse.csr_array((shared, (texel, pixel)), shape=(6 * resolution**2, height * width))
-    starts, pixel, counts = shares.indptr, shares.indices, np.diff(shares.indptr)
-    weight = shares.data / np.repeat(cubemap.solid_angles(resolution), counts)
-    capacities = 2 ** np.ceil(np.log2(counts)).astype(int)
-    groups, members = [], []
-    for capacity in np.unique(capacities):
-        rows = np.flatnonzero(capacities == capacity)
-        slot = np.arange(capacity)
-        inside = slot < counts[rows, None]
-        entry = np.where(inside, starts[rows, None] + slot, 0)
-        values = np.where(inside, weight[entry], 0)[:, None].astype(dtype)
-        indices = np.where(inside, pixel[entry], 0).astype(np.int32)
-        # The result is kept, so it must not be made of a caller's tracers.
-        with jax.ensure_compile_time_eval():
-            groups.append(sparse_rows(indices, values, height * width))
-        members.append(rows)
-    order = np.argsort(np.concatenate(members), kind="stable").astype(np.int32)
-    with jax.ensure_compile_time_eval():
-        return AreaResampling(tuple(groups), jax.device_put(order))
+    weight = shares.data / np.repeat(cubemap.solid_angles(resolution), np.diff(shares.indptr))
+    # The result is kept, so it must not be made of a caller's tracers.
+    return AreaResampling(sparse_matrix(sparse.csr_array((weight, shares.indices, shares.indptr), shares.shape), dtype))

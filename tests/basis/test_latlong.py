@@ -35,9 +35,9 @@ def interpolate(pixels, u, v) -> np.ndarray:
 @functools.cache
 def shares(height: int, width: int, resolution: int) -> np.ndarray:
     """Weights [texel, pixel] of the resampling, in float64."""
-    resampling = latlong.area_resampling(height, width, resolution)
+    rows_of = latlong.area_resampling(height, width, resolution).matrix.rows
     parts = []
-    for group in resampling.groups:
+    for group in rows_of.groups:
         n = group.indices.shape[-1]
         indices, values = (
             np.asarray(part).reshape(-1, n)[: group.row_count] for part in (group.indices, group.values[0])
@@ -45,7 +45,7 @@ def shares(height: int, width: int, resolution: int) -> np.ndarray:
         rows = np.zeros((group.row_count, height * width))
         np.add.at(rows, (np.arange(group.row_count)[:, None], indices), values)
         parts.append(rows)
-    return np.concatenate(parts)[np.asarray(resampling.order)]
+    return np.concatenate(parts)[np.asarray(rows_of.order)]
 
 
 def test_conventions():
