@@ -1,4 +1,7 @@
-"""Powers, norms and angles whose values and gradients stay finite where the plain formulas do not."""
+"""Powers, norms and angles whose values and gradients stay finite where the plain formulas do not.
+
+What is not a number stays so, value and gradient, and makes nothing beside it so.
+"""
 
 import functools
 
@@ -18,28 +21,29 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Arr
     The input of the logarithm is masked, not only its result, so gradients are finite for every base; a power
     beyond exp(80) is held there, and a base nearer to 0 than float's smallest^¾ counts as that.
     """
-    positive = base > 0
+    # Not `base > 0`, which a NaN is not either: it has to pass on.
+    nothing = base <= 0
     smallest = float(jnp.finfo(jnp.result_type(base, jnp.float32)).tiny) ** 0.75
-    logarithm = exponent * jnp.log(jnp.where(positive, jnp.maximum(base, smallest), 1))
-    return jnp.where(positive, jnp.exp(jnp.minimum(logarithm, _MAX_LOG)), 0)
+    logarithm = exponent * jnp.log(jnp.where(nothing, 1, jnp.maximum(base, smallest)))
+    return jnp.where(nothing, jnp.where(jnp.isnan(exponent), exponent, 0), jnp.exp(jnp.minimum(logarithm, _MAX_LOG)))
 
 
 def norm(vector: Float[Array, "... n"]) -> Float[Array, "..."]:
     """Euclidean length over the last axis: 0 with a zero gradient at the zero vector, no overflow before 1e38."""
     # The scale changes nothing but rounding, so it has no derivative.
     largest = jax.lax.stop_gradient(_over_last(jnp.maximum, jnp.abs(vector)))
-    nonzero = largest > 0
-    scaled = jnp.where(nonzero[..., None], vector, 1) / jnp.where(nonzero, largest, 1)[..., None]
-    return jnp.where(nonzero, jnp.sqrt(_over_last(jnp.add, scaled * scaled)) * largest, 0)
+    zero = largest == 0
+    scaled = jnp.where(zero[..., None], 1, vector) / jnp.where(zero, 1, largest)[..., None]
+    return jnp.where(zero, 0, jnp.sqrt(_over_last(jnp.add, scaled * scaled)) * largest)
 
 
 def normalize(vector: Float[Array, "... n"]) -> Float[Array, "... n"]:
     """The unit vector along `vector`; the zero vector stays zero, with a zero gradient."""
     largest = jax.lax.stop_gradient(_over_last(jnp.maximum, jnp.abs(vector)))
-    nonzero = largest > 0
-    scaled = jnp.where(nonzero[..., None], vector, 0) / jnp.where(nonzero, largest, 1)[..., None]
+    zero = largest == 0
+    scaled = jnp.where(zero[..., None], 0, vector) / jnp.where(zero, 1, largest)[..., None]
     # The largest component is 1 now.
-    length = jnp.sqrt(_over_last(jnp.add, jnp.where(nonzero[..., None], scaled * scaled, 1)))
+    length = jnp.sqrt(_over_last(jnp.add, jnp.where(zero[..., None], 1, scaled * scaled)))
     return scaled / length[..., None]
 
 

@@ -181,3 +181,35 @@ def test_vectors_of_any_length(n: int):
     np.testing.assert_allclose(norms, length, rtol=1e-6)
     np.testing.assert_allclose(unit, vectors / length[:, None], rtol=1e-5)
     np.testing.assert_allclose(slope, vectors / length[:, None], rtol=1e-5)
+
+
+_VECTORS = rows([0.3, 0.4, 0.5], [0, 0, 0], [1, 2, 3], [0, 1, 0], [3, 0, 4])
+_ARGUMENTS = {
+    (safe.power, power): (_VECTORS[:, 0], _VECTORS[:, 2]),
+    (safe.norm, norm): (_VECTORS,),
+    (safe.normalize, normalize): (_VECTORS,),
+    (safe.angle, angle): (_VECTORS, _VECTORS[::-1].copy()),
+}
+
+
+@DERIVATIVES
+@pytest.mark.parametrize("functions", _ARGUMENTS, ids=lambda functions: functions[0].__name__)
+def test_what_is_not_a_number_stays_so_in_its_own_item(functions, derivative):
+    """Its value and its gradients, and those of no other row."""
+    plain, compiled = functions
+    arguments = _ARGUMENTS[functions]
+
+    def of_all(given):
+        return jax.tree.leaves((compiled(*given), slopes_of(plain, derivative)(*given)))
+
+    without = of_all(arguments)
+    for number in range(len(arguments)):
+        given = [argument.copy() for argument in arguments]
+        given[number].reshape(8, -1)[2, -1] = np.nan
+        for now, before in zip(of_all(given), without, strict=True):
+            assert np.isnan(np.asarray(now)[2]).any()
+            np.testing.assert_array_equal(np.delete(now, 2, axis=0), np.delete(before, 2, axis=0))
+
+
+def test_power_of_nothing_by_no_number_is_none():
+    assert np.isnan(np.asarray(power(np.asarray([0.0, -1e-30, -1, -1e30], np.float32), np.float32(np.nan)))).all()
