@@ -1,0 +1,14 @@
+"""All entries of the library, folder by folder."""
+
+import importlib
+
+from jaxrelight.gradients.entry import Entries
+
+# Files of this folder, each with the entries of the folder that it is named after.
+FOLDERS = ("numerics",)
+
+
+def entries() -> Entries:
+    """Those of all folders. Entries of `fitting`, which nothing here imports, are in `fitting.gradients`."""
+    folders = [importlib.import_module(f"jaxrelight.gradients.{folder}") for folder in FOLDERS]
+    return tuple(entry for folder in folders for entry in folder.ENTRIES)

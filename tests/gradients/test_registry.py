@@ -1,0 +1,60 @@
+"""Every public function that takes or returns arrays has one entry, and every entry is of such a function."""
+
+import collections
+
+from fitting import gradients as of_fitting
+from jaxrelight.gradients.registry import entries
+from tests.gradients.public_functions import holding_arrays, modules, parsed, public_functions
+
+ALL = (*entries(), *of_fitting.ENTRIES)
+# Folders whose functions have no entries yet.
+_FOLDERS = (
+    *("basis", "brdf", "lights", "operators", "transport", "gather", "lighting", "images", "geometry", "files"),
+    *("scene", "precomputation", "commands"),
+)
+NOT_YET = ("fitting", *(f"jaxrelight.{folder}" for folder in _FOLDERS))
+
+
+def test_every_function_of_arrays_has_an_entry():
+    lacking = {one.name for one in public_functions(modules())} - {name for entry in ALL for name in entry.names}
+    lacking = {name for name in lacking if not name.startswith(tuple(f"{module}." for module in NOT_YET))}
+    assert not lacking, f"enter in jaxrelight/gradients, or fitting/gradients.py: {sorted(lacking)}"
+
+
+def test_every_entry_is_of_a_function_of_arrays():
+    left = {name for entry in ALL for name in entry.names} - {one.name for one in public_functions(modules())}
+    assert not left, f"no such functions, or none of arrays: {sorted(left)}"
+
+
+def test_no_function_has_two_entries():
+    count = collections.Counter(name for entry in ALL for name in entry.names)
+    assert {name for name, times in count.items() if times > 1} == set()
+
+
+_SOURCE = """
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+Numbers = float | Float[Array, "n"]
+
+class Base: ...
+class Holder(Base):
+    field: Float[np.ndarray, "n"]
+    def fact(self) -> int: ...
+    def other(self) -> "Holder": ...
+    def _own(self, a: Array) -> None: ...
+
+def takes(a: Numbers) -> int: ...
+def gives() -> tuple[int, "Float[jax.Array, 'n']"]: ...
+def through_base(one: Base) -> str: ...
+def neither(a: int) -> list[str]: ...
+def _private(a: Array) -> Array: ...
+"""
+
+
+def test_functions_of_arrays_are_found_through_names_fields_and_bases():
+    module = parsed("m", _SOURCE)
+    assert {"m.Numbers", "m.Holder", "m.Base"} < holding_arrays({"m": module}, {"jaxtyping.Array", "numpy.ndarray"})
+    found = {one.name: one.jax for one in public_functions({"m": module})}
+    assert found == {"m.Holder.other": False, "m.takes": True, "m.gives": True, "m.through_base": False}
