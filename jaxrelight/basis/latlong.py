@@ -162,8 +162,9 @@ def interpolate(pixels: Float[Array, "h w c"], u: Float[Array, "..."], v: Float[
         return (1 - right) * pixels[row, jnp.mod(column, width)] + right * pixels[row, jnp.mod(column + 1, width)]
 
     between = (1 - down) * of_row(row) + down * of_row(row + 1)
-    for pole, away in ((0, y), (height - 1, height - 1 - y)):
-        share = jnp.clip(-2 * away, 0, 1)[..., None]
+    # At the centres of either row the slope is that downwards.
+    for pole, away, is_beyond in ((0, y, y < 0), (height - 1, height - 1 - y, y >= height - 1)):
+        share = jnp.where(is_beyond, jnp.minimum(-2 * away, 1), 0)[..., None]
         mean = jnp.broadcast_to(jnp.mean(pixels[pole], axis=0), between.shape)
         between = (1 - share) * between + share * mean
     return between

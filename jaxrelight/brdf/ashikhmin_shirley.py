@@ -48,7 +48,7 @@ class AshikhminShirley(Brdf):
         below = jnp.maximum(cosine, _MIN_COSINE) * jnp.maximum(jnp.maximum(omega_i[2], omega_o[2]), _MIN_COSINE)
         scale = jnp.sqrt((self.nu + 1) * (self.nv + 1)) / (8 * math.pi)
         specular = scale * jnp.exp(exponent_log) / below * fresnel
-        rise_i, rise_o = (1 - _fifth(1 - jnp.maximum(omega[2], 0) / 2) for omega in (omega_i, omega_o))
+        rise_i, rise_o = (1 - _fifth(1 - safe.clamp(omega[2], 0) / 2) for omega in (omega_i, omega_o))
         return specular + 28 / (23 * math.pi) * self.kd * (1 - self.ks) * rise_i * rise_o
 
     @property

@@ -72,13 +72,13 @@ def lobe_bandwidth(brdf: LobeSum, omega_i: Float[Array, "3"], omega_o: Float[Arr
     """The angular bandwidth of a sum of lobes in closed form: that of each at its peak, by what each gives.
 
     A lobe cosⁿ is near to exp(−n θ²/2), whose spectrum is exp(−2π²f²/n): less than ε of its height is left beyond
-    f = √(n ln(1/ε) / 2) / π.
+    f = √(n ln(1/ε) / 2) / π. Its slope by n, infinite at n = 0, is 0 there.
     """
     if brdf.is_constant:
         return jnp.zeros((), omega_i.dtype)
     powers = safe.power(brdf.cosines(omega_i, omega_o), brdf.exponent)
     given = jnp.mean(jnp.abs(brdf.scale) * powers, axis=1, keepdims=True)
-    own = jnp.sqrt(brdf.exponent * (0.5 * math.log(1 / _BEYOND))) / math.pi
+    own = safe.root(brdf.exponent * (0.5 * math.log(1 / _BEYOND))) / math.pi
     total = jnp.mean(brdf.diffuse) / math.pi + jnp.sum(given)
     return jnp.sum(given * own) / jnp.where(total > 0, total, 1) / own.shape[1]
 

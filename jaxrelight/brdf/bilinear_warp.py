@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.numerics import safe
+
 
 def sums(density: Float[np.ndarray, "s y x"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What `invert` needs of densities [s, y, x], in float64.
@@ -31,7 +33,7 @@ def _mass_before(values: np.ndarray) -> np.ndarray:
 
 def cell(place: Float[Array, ""], count: int) -> tuple[Int[Array, ""], Float[Array, ""]]:
     """The cell of a grid of `count` points over 0 … 1 that a place lies in, and where in it, 0 … 1."""
-    place = jnp.clip(place, 0, 1) * (count - 1)
+    place = safe.clamp(place, 0, 1) * (count - 1)
     below = jnp.minimum(jnp.floor(place), count - 2)
     return below.astype(jnp.int32), place - below
 
@@ -42,7 +44,7 @@ def bracket(value: Float[Array, ""], grid: Float[Array, " n"]) -> tuple[Int[Arra
         return jnp.zeros(2, jnp.int32), jnp.asarray([1.0, 0.0], grid.dtype)
     below = jnp.clip(jnp.searchsorted(grid, value, side="right") - 1, 0, len(grid) - 2)
     low, high = grid[below], grid[below + 1]
-    share = jnp.clip((value - low) / (high - low), 0, 1)
+    share = safe.clamp((value - low) / (high - low), 0, 1)
     return jnp.stack([below, below + 1]), jnp.stack([1 - share, share])
 
 

@@ -40,8 +40,8 @@ def clip_lobe(peak: Float[Array, "... 3"], exponent: Float[Array, "..."]) -> Cli
     From a table over n and p·N; finite and differentiable everywhere. p may lie below the horizon.
     """
     rows, columns = _PER_DOUBLING * _DOUBLINGS, _COSINES - 1
-    row = jnp.clip(jnp.log2(jnp.maximum(exponent, 0) + 1) * _PER_DOUBLING, 0, rows)
-    column = jnp.clip((peak[..., 2] + 1) / 2 * columns, 0, columns)
+    row = safe.clamp(jnp.log2(safe.clamp(exponent, 0) + 1) * _PER_DOUBLING, 0, rows)
+    column = safe.clamp((peak[..., 2] + 1) / 2 * columns, 0, columns)
     top, left = jnp.minimum(jnp.floor(row), rows - 1), jnp.minimum(jnp.floor(column), columns - 1)
     down, right = (row - top)[..., None], (column - left)[..., None]
     table = jnp.asarray(_table(), peak.dtype).reshape(-1, 4)

@@ -44,7 +44,7 @@ class LobeSampler(eqx.Module):
         """The direction that two numbers from 0 to 1 stand for: uniform ones, random or not, give its density.
 
         The first also chooses the lobe, by which of their shares it falls into, so that evenly spread numbers are so
-        in each of them.
+        in each of them. At a lobe's first number the direction is its peak; the slope by it, infinite, is 0 there.
         """
         # The choice is written out, which is several times faster than look-ups and products of small matrices.
         reached, exponent, frame = jnp.cumsum(self.shares), self.exponents[0], self.frames[0]
@@ -55,10 +55,10 @@ class LobeSampler(eqx.Module):
             frame = jnp.where(beyond, self.frames[k], frame)
             start, share = jnp.where(beyond, reached[k - 1], start), jnp.where(beyond, self.shares[k], share)
         # Rounding of shares must not reach 1.
-        u = jnp.clip((u - start) / share, 0, 1 - jnp.finfo(u.dtype).eps)
+        u = safe.clamp((u - start) / share, 0, 1 - float(jnp.finfo(u.dtype).eps))
         # 1 − u, since u may be 0 but not 1.
         log_cosine = jnp.log1p(-u) / (exponent + 1)
-        cosine, sine = jnp.exp(log_cosine), jnp.sqrt(-jnp.expm1(2 * log_cosine))
+        cosine, sine = jnp.exp(log_cosine), safe.root(-jnp.expm1(2 * log_cosine))
         angle = 2 * math.pi * v
         return sine * (jnp.cos(angle) * frame[0] + jnp.sin(angle) * frame[1]) + cosine * frame[2]
 

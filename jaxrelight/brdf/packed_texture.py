@@ -22,6 +22,7 @@ from jaxrelight.brdf.texture import (
     read_texel,
     wrapped,
 )
+from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.numerics.buckets import bucket, filled_up
 
@@ -64,7 +65,7 @@ class PackedTexture(eqx.Module):
         h, w = (levels[0, axis].astype(uv.dtype) for axis in (0, 1))
         x, y = wrapped(place[0], self.wrap[0]) * w, (1 - wrapped(place[1], self.wrap[1])) * h
         last = self.coarsest.astype(uv.dtype)
-        level = 0.5 * jnp.log2(jnp.clip(footprint * (h * w), 1, jnp.exp2(2 * last)))
+        level = 0.5 * jnp.log2(safe.clamp(jnp.asarray(footprint * (h * w), uv.dtype), 1, jnp.exp2(2 * last)))
         lower = jnp.clip(jnp.floor(level), 0, jnp.maximum(last - 1, 0)).astype(jnp.int32)
         share = level - lower
 

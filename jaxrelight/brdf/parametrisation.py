@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrelight.numerics import safe
+
 
 class Place(NamedTuple):
     """A texel, and how far a direction is from its centre towards the next column (u) and row (v), in 0 … 1.
@@ -74,7 +76,7 @@ class Disc(Parametrisation):
         """Clamped at the map's border."""
         x, y = ((omega[axis] + 1) * (side / 2) - 0.5 for axis in (0, 1))
         column, row = (jnp.clip(jnp.floor(p), 0, side - 2) for p in (x, y))
-        u, v = jnp.clip(x - column, 0, 1), jnp.clip(y - row, 0, 1)
+        u, v = safe.clamp(x - column, 0, 1), safe.clamp(y - row, 0, 1)
         return Place(row.astype(jnp.int32), column.astype(jnp.int32), u, v)
 
 
@@ -100,7 +102,7 @@ class Polar(Parametrisation):
         x = jnp.arctan2(omega[0], jnp.where(pole, 1, omega[1])) * (side / (2 * math.pi)) - 0.5
         y = jnp.sqrt(jnp.maximum(1 - omega[2], 1e-12)) * side - 0.5
         column, row = jnp.floor(x), jnp.clip(jnp.floor(y), 0, side - 2)
-        u, v = x - column, jnp.clip(y - row, 0, 1)
+        u, v = x - column, safe.clamp(y - row, 0, 1)
         return Place(row.astype(jnp.int32), column.astype(jnp.int32) % side, u, v)
 
 

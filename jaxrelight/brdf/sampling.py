@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.numerics import safe
 
 # Share of samples that are spread by the cosine alone, so that no direction is missed.
 _SPREAD = 0.1
@@ -63,14 +64,19 @@ class CellSampler(eqx.Module):
 
 
 def from_disc(square: Float[Array, ""], azimuth: Float[Array, ""]) -> Float[Array, "3"]:
-    """The direction of sin²θ and φ/2π, both in 0 … 1: uniform numbers become cosine-weighted directions."""
-    sine, angle = jnp.sqrt(square), 2 * math.pi * azimuth
-    return jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), jnp.sqrt(jnp.maximum(1 - square, 0))])
+    """The direction of sin²θ and φ/2π, both in 0 … 1: uniform numbers become cosine-weighted directions.
+
+    Slopes by sin²θ, infinite at the normal and at the horizon, are 0 there.
+    """
+    sine, angle = safe.root(square), 2 * math.pi * azimuth
+    return jnp.stack([sine * jnp.cos(angle), sine * jnp.sin(angle), safe.root(1 - square)])
 
 
 def to_disc(omega: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """sin²θ, and φ/2π in 0 … 1, of a direction."""
-    return omega[0] ** 2 + omega[1] ** 2, jnp.mod(jnp.arctan2(omega[1], omega[0]) / (2 * math.pi), 1)
+    """sin²θ, and φ/2π in 0 … 1, of a direction; at the normal the azimuth is 0, with no slope."""
+    normal = (omega[0] == 0) & (omega[1] == 0)
+    azimuth = jnp.arctan2(jnp.where(normal, 0, omega[1]), jnp.where(normal, 1, omega[0]))
+    return omega[0] ** 2 + omega[1] ** 2, jnp.mod(azimuth / (2 * math.pi), 1)
 
 
 @functools.partial(jax.jit, static_argnames=("rings", "sectors"))

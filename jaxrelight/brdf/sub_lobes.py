@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.brdf.spatial import SpatialLobes
+from jaxrelight.numerics import safe
 
 # Rings of a hexagonal pattern around the peak, by how many narrower lobes they make, and how many times as large the
 # narrower lobes' n + 1 is: as narrow as the pattern covers the wide lobe without gaps.
@@ -97,14 +98,14 @@ def sub_lobes(peak: Float[Array, "3"], exponent: Float[Array, ""], count: int) -
         return SubLobes(peak[None], exponent, jnp.ones(1, peak.dtype))
     rings, ratio = PATTERNS[count]
     place, ring = _pattern(rings)
-    row = jnp.clip(jnp.log2(jnp.maximum(exponent, 0) + 1), 0, _DOUBLINGS)
+    row = safe.clamp(jnp.log2(safe.clamp(exponent, 0) + 1), 0, _DOUBLINGS)
     lower = jnp.minimum(jnp.floor(row), _DOUBLINGS - 1)
     part = row - lower
     table = jnp.asarray(_table(count), peak.dtype)
     entry, after = (table.at[lower.astype(jnp.int32) + i].get(mode="promise_in_bounds") for i in (0, 1))
     entry = (1 - part) * entry + part * after
     # Sharper lobes are as far apart as their width.
-    spacing = entry[0] / jnp.sqrt(jnp.maximum(exponent, 0) + 1)
+    spacing = entry[0] / jnp.sqrt(safe.clamp(exponent, 0) + 1)
     x, y = jnp.asarray(place, peak.dtype).T * spacing
     angle = jnp.asarray(np.linalg.norm(place, axis=1), peak.dtype) * spacing
     scale = jnp.sinc(angle / np.pi)

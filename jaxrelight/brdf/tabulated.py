@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.brdf.contract import Brdf
+from jaxrelight.numerics import safe
 
 # Below this squared length a projected direction has no azimuth; the one along x is taken.
 _MIN_SQUARED_LENGTH = 1e-18
@@ -115,7 +116,7 @@ def corners(angles: HalfDifference, shape: tuple[int, ...]) -> tuple[Int[Array, 
 
 def _between(place, count: int):
     """The entry below a place, and how far it is to the next; clamped at both ends."""
-    place = jnp.clip(place, 0, count - 1)
+    place = safe.clamp(place, 0, count - 1)
     below = jnp.minimum(jnp.floor(place), max(count - 2, 0))
     return below.astype(jnp.int32), place - below
 

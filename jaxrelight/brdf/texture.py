@@ -17,6 +17,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.errors import InputError
+from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array, on_host
 from jaxrelight.numerics.numbers import Numbers, as_numbers, float_dtype, module_of
 
@@ -102,7 +103,7 @@ class Texture(eqx.Module):
             return [(read_texel(finest, place), weight) for place, weight in four_texels(x, y, h, w, self.wrap)]
         sizes = level_sizes(h, w, len(self.coarser))
         starts = np.cumsum([0, *(rows * columns for rows, columns in sizes[1:])])[:-1]
-        level = 0.5 * jnp.log2(jnp.clip(footprint * (h * w), 1, 4.0 ** (len(sizes) - 1)))
+        level = 0.5 * jnp.log2(safe.clamp(jnp.asarray(footprint * (h * w), uv.dtype), 1, 4.0 ** (len(sizes) - 1)))
         lower = jnp.minimum(jnp.floor(level), len(sizes) - 2).astype(jnp.int32)
         share = level - lower
         coarser, table, at = jnp.asarray(self.coarser), jnp.asarray(sizes, jnp.int32), jnp.asarray(starts, jnp.int32)
@@ -164,7 +165,7 @@ def _first_column(uv_set: int) -> int:
 def wrapped(u: Float[Array, ""], wrap: Wrap) -> Float[Array, ""]:
     """The place between 0 and 1 in an image that a coordinate shows."""
     if wrap == "clamp":
-        return jnp.clip(u, 0, 1)
+        return safe.clamp(u, 0, 1)
     if wrap == "mirror":
         u = u - 2 * jnp.floor(u / 2)
         return jnp.minimum(u, 2 - u)

@@ -4,9 +4,11 @@ What is not a number stays so, value and gradient, and makes nothing beside it s
 """
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 # Numbers that a vector has at most; longer ones are arrays.
@@ -26,6 +28,20 @@ def power(base: Float[Array, "..."], exponent: Float[Array, "..."]) -> Float[Arr
     smallest = float(jnp.finfo(jnp.result_type(base, jnp.float32)).tiny) ** 0.75
     logarithm = exponent * jnp.log(jnp.where(nothing, 1, jnp.maximum(base, smallest)))
     return jnp.where(nothing, jnp.where(jnp.isnan(exponent), exponent, 0), jnp.exp(jnp.minimum(logarithm, _MAX_LOG)))
+
+
+def clamp(values: Float[Array, "..."], least: ArrayLike, most: ArrayLike = math.inf) -> Float[Array, "..."]:
+    """`values` held within `least` … `most`; at either end the slope is that inside, where `jnp.clip` has half of it.
+
+    Ends do not lie at random: exponent 0, texels' centres and the normal are ends, and functions are smooth there.
+    """
+    return jnp.where(values < least, least, jnp.where(values > most, most, values))
+
+
+def root(values: Float[Array, "..."]) -> Float[Array, "..."]:
+    """√max(0, values), whose slope, infinite at 0, is 0 there."""
+    nothing = values <= 0
+    return jnp.where(nothing, 0, jnp.sqrt(jnp.where(nothing, 1, values)))
 
 
 def norm(vector: Float[Array, "... n"]) -> Float[Array, "..."]:

@@ -213,3 +213,22 @@ def test_what_is_not_a_number_stays_so_in_its_own_item(functions, derivative):
 
 def test_power_of_nothing_by_no_number_is_none():
     assert np.isnan(np.asarray(power(np.asarray([0.0, -1e-30, -1, -1e30], np.float32), np.float32(np.nan)))).all()
+
+
+@jax.jit
+def _clamped(values):
+    """Values and slopes of both."""
+
+    def sums(values, other):
+        return jnp.sum(safe.clamp(values, 0.0, 2.0)) + jnp.sum(safe.root(other))
+
+    return (safe.clamp(values, 0.0, 2.0), safe.root(values)), *jax.grad(sums, (0, 1))(values, values)
+
+
+def test_what_is_clamped_has_the_slope_inside_at_both_ends():
+    values = np.asarray([-1, 0, 0.5, 2, 3, np.nan], np.float32)
+    (clamped, root), slope, root_slope = _clamped(values)
+    np.testing.assert_array_equal(clamped, [0, 0, 0.5, 2, 2, np.nan])
+    np.testing.assert_array_equal(slope, [0, 1, 1, 1, 0, 1])
+    np.testing.assert_allclose(root, [0, 0, 0.5**0.5, 2**0.5, 3**0.5, np.nan], rtol=1e-6)
+    np.testing.assert_allclose(root_slope, [0, 0, 0.5 * 2**0.5, 0.5 / 2**0.5, 0.5 / 3**0.5, np.nan], rtol=1e-6)
