@@ -41,8 +41,9 @@ def refactored(brdf: Brdf, start: Factored, cosine: tuple[float, float] = COSINE
         held = other[..., inner]
         weighted = held * square[None, None]
         gram = jnp.einsum("kcm,jcm->ckj", weighted, held, precision="highest")
-        # A term that has died leaves its row 0.
-        floor = jnp.finfo(dtype).eps * jnp.trace(gram, axis1=1, axis2=2)[:, None, None]
+        # A term that has died leaves its row 0; of a black channel all have, and its maps are 0.
+        trace = jnp.trace(gram, axis1=1, axis2=2)[:, None, None]
+        floor = jnp.where(trace > 0, jnp.finfo(dtype).eps * trace, 1)
         gram = gram + floor * jnp.eye(len(held), dtype=dtype)[None]
 
         @jax.checkpoint

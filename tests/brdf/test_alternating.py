@@ -1,5 +1,7 @@
 """Factors as a function of the BRDF: the same values, and derivatives that differences confirm."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -95,3 +97,16 @@ def test_gradients_are_finite_where_terms_are_dead():
     assert np.isfinite(value)
     # The sum of both is what is seen: proportional to each.
     np.testing.assert_allclose(slope, value / 6, rtol=1e-3)
+
+
+def test_a_black_channel_has_black_maps():
+    """Its normal equations are all zeros."""
+    black = phong([0.2, 0, 0.3], [0.5, 0, 0.6], 8)
+    start = factor(PHONG, TERMS, SIDE, parametrisation=DISC, cosine=(0, 0))
+    channel = np.array([1, 0, 1], np.float32)[None, :, None, None]
+    start = dataclasses.replace(start, view_maps=start.view_maps * channel, light_maps=start.light_maps * channel)
+    for brdf in (black, PHONG):
+        again = refactored(brdf, start, (0, 0))
+        for maps in (again.light_maps, again.view_maps):
+            assert np.isfinite(np.asarray(maps)).all()
+            assert not np.asarray(maps)[:, 1].any()
