@@ -86,7 +86,9 @@ class SpatialLobes(eqx.Module):
 
 def _side_by_side(maps: SpatialLobes) -> Float[Array, "h w p"]:
     share = maps.scale / (maps.exponent + 2)[..., None]
-    weight = jnp.abs(jnp.mean(share, axis=-1)) + _MIN_WEIGHT
+    mean = jnp.mean(share, axis=-1)
+    # Where a lobe is black its weight has no slope: exponents between black texels would have one of 1e7.
+    weight = jnp.where(mean == 0, 0, jnp.abs(mean)) + _MIN_WEIGHT
     logarithm = weight * jnp.log(jnp.maximum(maps.exponent, 1e-6))
     parts = [maps.diffuse, weight[..., None] * maps.C, weight, logarithm, share, maps.axis]
     return jnp.concatenate([part.reshape(*maps.shape, -1) for part in parts], axis=-1)

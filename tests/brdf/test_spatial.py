@@ -155,3 +155,22 @@ def test_levels_are_seen_of_far_texels():
     np.testing.assert_allclose(seen("none", 1.0), of_texel(near, 1, 2), rtol=1e-4)
     np.testing.assert_allclose(seen("averaged", 1.0), reflected(near, finer, 1.0, "averaged"), rtol=1e-6)
     assert np.abs(seen("averaged", 1.0) - seen("levels", 1.0)).max() > 0.01
+
+
+@jax.jit
+def _slopes_of_exponents(spatial, uv):
+    return jax.grad(lambda spatial: jnp.sum(spatial.packed("none").at(uv).exponent))(spatial)
+
+
+def test_black_texels_have_no_steep_slopes():
+    """Nothing is known of a black lobe's exponent, and less of what it would be were it a little brighter."""
+    spatial = maps()
+    uv = np.asarray([[0.4, 0.4], [0.1, 0.6], [0.5, 0.5]], np.float32)
+    for scale in (
+        np.zeros(spatial.scale.shape, np.float32),
+        np.asarray(spatial.scale) * (np.arange(4) > 1)[:, None, None],
+    ):
+        slopes = _slopes_of_exponents(dataclasses.replace(spatial, scale=scale), uv)
+        black = scale == 0
+        assert not np.asarray(slopes.scale)[black].any()
+        assert np.abs(np.asarray(slopes.exponent)).max() < 100
