@@ -49,14 +49,14 @@ def split_sun(texels: Float[Array, "d c"]) -> Split:
     fine levels as in coarse ones.
 
     Args:
-        texels: radiance of d > 16 texels of a cube map.
+        texels: radiance of the texels of a cube map; of d ≤ 16 of them all but one may be a sun's.
     """
     known = jax.lax.stop_gradient(texels)
     largest = jnp.max(jnp.abs(known))
     scaled = known / jnp.where(largest > 0, largest, 1)
     energy = jnp.sum(jnp.square(scaled), axis=1)
     # Behind a barrier, as XLA sorts all texels where it sees that the results are cut.
-    top, index = jax.lax.optimization_barrier(jax.lax.top_k(energy, MAX_TEXELS + 1))
+    top, index = jax.lax.optimization_barrier(jax.lax.top_k(energy, min(MAX_TEXELS + 1, len(energy))))
     limit, top, index = top[-1], top[:-1], index[:-1]
     bright = (top > BRIGHTER**2 * limit) & (top > 0)
     is_sun = jnp.sum(jnp.where(bright, top, 0)) >= SHARE * jnp.sum(energy)

@@ -154,3 +154,12 @@ def test_a_map_without_a_sun_stays(rows: int):
         np.testing.assert_array_equal(rest, pixels.astype(np.float32))
         assert sun.directions.shape == sun.irradiance.shape == (64, 3)
         assert not np.asarray(sun.irradiance).any()
+
+
+def test_a_light_of_few_texels_is_split_as_well():
+    """Of those of one face there are not as many as a sun may have."""
+    light = np.full((6, 3), 0.5, np.float32)
+    light[2] = 400
+    split = split_sun(jnp.asarray(light))
+    np.testing.assert_allclose(split.rest, np.full((6, 3), 0.5), rtol=1e-6)
+    np.testing.assert_allclose(np.asarray(split.rest) + np.asarray(split.sun), light, rtol=1e-6)
