@@ -17,6 +17,8 @@ from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.numbers import Number, Numbers, Vector, as_numbers, float_dtype, holds, module_of, shown
 
+# A roundness below which the exponent grows no more: the smaller part counts for nothing then.
+_SQUARE = 1e-3
 # Two distances.
 Pair = Float[Array | np.ndarray, "2"] | Sequence[Number]
 
@@ -68,9 +70,14 @@ class Shaped(Punctual):
         return incident._replace(irradiance=self.intensity[None] * (share * fallen)[:, None], within=share > 0)
 
     def _reach(self, aside: Float[Array, "p 2"], angles: Float[Array, "2"]) -> Float[Array, " p"]:
-        exponent = 2 / jnp.maximum(self.roundness, 0.05)
-        sums = jnp.sum(safe.power(aside / jnp.tan(jnp.radians(angles))[None], exponent), axis=1)
-        return safe.power(sums, 1 / exponent)
+        """(Σ (x/X)^(2/roundness))^(roundness/2): of roundness 0, whose exponent is infinite, the larger of x/X.
+
+        Only the smaller over the larger is raised to the power, so that nothing overflows, however wide the edges are.
+        """
+        across, along = (aside / jnp.tan(jnp.radians(angles))[None]).T
+        larger, smaller = jnp.maximum(across, along), jnp.minimum(across, along)
+        part = safe.power(smaller / jnp.where(larger == 0, 1, larger), 2 / safe.clamp(self.roundness, _SQUARE))
+        return larger * jnp.exp(0.5 * self.roundness * jnp.log1p(part))
 
 
 def _smooth(t: Float[Array, " p"]) -> Float[Array, " p"]:

@@ -101,3 +101,29 @@ def test_what_is_no_shape_is_refused(change, what):
     good = {"position": (0, 0, 0), "target": (0, 0, 1), "intensity": 1, "inner": 20.0, "outer": 30.0}
     with pytest.raises(InputError, match=what):
         shaped(**good | change)
+
+
+@pytest.mark.parametrize("roundness", [0.0, 0.02, 0.5])
+def test_wide_edges_are_exact_at_every_roundness(roundness):
+    """Along an axis all roundnesses reach as far; the outer shape is a hundred times the inner one."""
+    inner, outer = np.degrees(np.arctan([0.05, 5.0]))
+    light = shaped(*DOWN, 1.0, inner, outer, roundness=roundness, **AXES)
+    x = np.array([0.04, 0.5, 1.0, 2.0, 3.0, 4.5])
+    intensity = at(light, across(*((each, 0) for each in x))).irradiance[:, 0] * (1 + x * x)
+    t = np.clip((x - 0.05) / 4.95, 0, 1)
+    np.testing.assert_allclose(intensity, 1 - t * t * (3 - 2 * t), atol=1e-5)
+    by_roundness = np.asarray(_slopes(light, np.pad(across((2, 1.9)), [(0, 7), (0, 0)], mode="edge"))[0].roundness)
+    assert np.isfinite(by_roundness)
+    if roundness:
+        assert by_roundness < 0
+
+
+def test_roundness_nothing_is_a_rectangle():
+    """The larger of both distances from the axis counts, also where they are equal."""
+    inner, outer = np.degrees(np.arctan([0.5, 2.0]))
+    light = shaped(*DOWN, 1.0, inner, outer, roundness=0.0, **AXES)
+    x, z = np.meshgrid(np.linspace(0.1, 2.2, 8), np.linspace(0.1, 2.2, 8))
+    x, z = x.ravel(), z.ravel()
+    intensity = at(light, across(*zip(x, z, strict=True))).irradiance[:, 0] * (1 + x * x + z * z)
+    t = np.clip((np.maximum(x, z) - 0.5) / 1.5, 0, 1)
+    np.testing.assert_allclose(intensity, 1 - t * t * (3 - 2 * t), atol=1e-5)
