@@ -56,7 +56,7 @@ from jaxrelight.lighting.visible_surfaces import (
     emitted,
     surface_component,
 )
-from jaxrelight.lights.environment import Environment, coarsened, encode, texels_of, with_coarse_pixels
+from jaxrelight.lights.environment import Environment, check_pixels, coarsened, encode, texels_of, with_coarse_pixels
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.prefiltered import COARSE_RESOLUTION, PrefilteredMaps, maps_of
 from jaxrelight.lights.sun import split_sun
@@ -219,7 +219,15 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         rotate_y: float | Float[Array, ""] = 0.0,
         scale: float | Float[Array, ""] = 1.0,
     ) -> Float[Array, "d c"]:
-        """The operator's input for a lat-long map. Pure and differentiable in all three."""
+        """The operator's input for a lat-long map. Pure and differentiable in all three.
+
+        Raises:
+            InputError: for known pixels that are not finite.
+        """
+        check_pixels(pixels, "the environment")
+        return self._light_vector(pixels, rotate_y, scale)
+
+    def _light_vector(self, pixels, rotate_y, scale) -> Float[Array, "d c"]:
         pixels = coarsened(pixels, self.method.resolution)
         resampling = latlong.area_resampling(*pixels.shape[:2], self.method.resolution, pixels.dtype)
         return encode(pixels, rotate_y, scale, resampling, self.transport.basis)
@@ -292,7 +300,8 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         return maps_of(environment, between=self.exponents)
 
     def _light_vector_of(self, environment: Environment) -> Float[Array, "d c"]:
-        return self.light_vector(environment.pixels, environment.rotate_y, environment.scale)
+        # An environment's pixels are checked when it is made.
+        return self._light_vector(environment.pixels, environment.rotate_y, environment.scale)
 
     def trace(self, lit: TransportLight, view: TransportView, *, report: Report | None = None) -> Visibility:
         """Shadow rays from pixels towards local lights."""

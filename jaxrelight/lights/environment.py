@@ -121,6 +121,23 @@ def environment(
     return Environment(np.ascontiguousarray(pixels), rotate_y, scale, tuple(notes))
 
 
+def check_pixels(pixels: Float[Array | np.ndarray, "h w c"], name: str) -> None:
+    """Refuses a map of which a pixel is not finite, as far as they are known: one would spoil all that is made of it.
+
+    Raises:
+        InputError: naming the first.
+    """
+    if isinstance(pixels, Tracer):
+        return
+    bad = np.logical_not(np.isfinite(np.asarray(pixels)).all(axis=-1))
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"{name} has {bad.sum():,} NaN or infinite pixels, the first in row {row}, column {column}; "
+            "repair the file, or ask for them to be zeroed"
+        )
+
+
 def _checked(pixels, name: str, zero_nonfinite: bool) -> tuple[np.ndarray, list[str]]:
     """Pixels of three channels, finite and not negative, and what was mended."""
     pixels = np.asarray(pixels)
@@ -130,16 +147,13 @@ def _checked(pixels, name: str, zero_nonfinite: bool) -> tuple[np.ndarray, list[
     if pixels.ndim != 3 or not pixels.size or pixels.shape[2] not in (3, 4):
         raise InputError(f"{name} has shape {pixels.shape}; an environment is h × w pixels of three channels")
     pixels, notes = pixels[..., :3], []
-    bad = np.logical_not(np.isfinite(pixels).all(axis=-1))
-    if bad.any():
-        if not zero_nonfinite:
-            row, column = np.argwhere(bad)[0]
-            raise InputError(
-                f"{name} has {bad.sum():,} NaN or infinite pixels, the first in row {row}, column {column}; "
-                "repair the file, or ask for them to be zeroed"
-            )
-        pixels = np.where(bad[..., None], 0, pixels)
-        notes.append(f"{name}: {bad.sum():,} NaN or infinite pixels were set to 0")
+    if zero_nonfinite:
+        bad = np.logical_not(np.isfinite(pixels).all(axis=-1))
+        if bad.any():
+            pixels = np.where(bad[..., None], 0, pixels)
+            notes.append(f"{name}: {bad.sum():,} NaN or infinite pixels were set to 0")
+    else:
+        check_pixels(pixels, name)
     negative = (pixels < 0).any(axis=-1)
     if negative.any():
         notes.append(f"{name}: {negative.sum():,} pixels had negative channels, clamped to 0")

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
 from jaxrelight.basis.zonal import filtered_maps
-from jaxrelight.lights.environment import Environment, coarsened
+from jaxrelight.lights.environment import Environment, check_pixels, coarsened
+from jaxrelight.numerics import safe
 from jaxrelight.numerics.arrays import is_traced, on_host
 from jaxrelight.numerics.numbers import Number
 
@@ -54,8 +55,8 @@ class PrefilteredMaps(eqx.Module):
             exponent: held within those of the maps; the maps between which one lies go with log(n + 1).
             rotate_y: degrees that the environment is turned about +y, as `Environment`.
         """
-        level = jnp.log2(jnp.maximum(exponent, 0) + 1) * _PER_DOUBLING - self.first
-        level = jnp.clip(level, 0, len(self.heights) - 1)
+        level = jnp.log2(safe.clamp(exponent, 0) + 1) * _PER_DOUBLING - self.first
+        level = safe.clamp(level, 0, len(self.heights) - 1)
         lower = jnp.clip(jnp.floor(level), 0, max(len(self.heights) - 2, 0))
         part = level - lower
         lower = lower.astype(jnp.int32)
@@ -121,7 +122,13 @@ def prefilter(
 
     Raises:
         ValueError: for another number of rows.
+        InputError: for known pixels that are not finite.
     """
+    check_pixels(pixels, "the environment")
+    return _prefiltered(pixels, finest, equal, between)
+
+
+def _prefiltered(pixels, finest: int, equal: bool, between: tuple[float, float] | None) -> PrefilteredMaps:
     if finest < 32 or finest & (finest - 1):
         raise ValueError(f"the finest map has {finest} rows; they must be a power of two from 32")
     every, first = exponents(), 0
@@ -162,11 +169,11 @@ def maps_of(environment: Environment, finest: int = 512, between: tuple[float, f
     """
     pixels, asked = environment.pixels, (finest, between)
     if is_traced(pixels):
-        return prefilter(pixels, finest, between=between)
+        return _prefiltered(pixels, finest, False, between)
     # JAX's arrays do not change.
     for known in _REMEMBERED:
         if known.pixels() is pixels and known.asked == asked:
             return known.maps
-    maps = prefilter(on_host(pixels), finest, between=between)
+    maps = _prefiltered(on_host(pixels), finest, False, between)
     _REMEMBERED.append(_Remembered(weakref.ref(pixels), asked, maps))
     return maps

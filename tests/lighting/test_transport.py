@@ -145,6 +145,13 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
             np.testing.assert_allclose(block_terms, wanted, rtol=1e-5, atol=1e-5)
 
 
+def test_pixels_that_are_not_finite_are_refused(relighter: TransportRelighter):
+    pixels = SKY.copy()
+    pixels[2, 3, 1] = np.inf
+    with pytest.raises(jr.InputError, match="1 NaN or infinite pixels, the first in row 2, column 3"):
+        relighter.light_vector(pixels)
+
+
 def test_light_may_be_traced_first(relighter: TransportRelighter):
     """Tables that are kept between calls hold nothing of the function that was being traced when they were made."""
     traced = jax.jit(lambda pixels: relighter.terms(relighter.light_vector(pixels, 20.0)))(SKY)

@@ -9,6 +9,7 @@ import pytest
 from jax.test_util import check_grads
 
 from jaxrelight.basis import latlong
+from jaxrelight.errors import InputError
 from jaxrelight.lights.environment import Environment, environment, load_environment
 from jaxrelight.lights.prefiltered import exponents, maps_of, prefilter
 from jaxrelight.numerics.arrays import is_traced
@@ -144,3 +145,10 @@ def test_maps_of_traced_pixels_are_not_remembered():
     assert np.isfinite(slope).all()
     assert np.asarray(slope).min() > 0
     assert not is_traced(maps_of(environment(np.asarray(pixels)), FINEST, (1.0, 1.0)).texels)
+
+
+def test_pixels_that_are_not_finite_are_refused():
+    pixels = np.ones((32, 64, 3), np.float32)
+    pixels[3, 5, 1] = np.nan
+    with pytest.raises(InputError, match="1 NaN or infinite pixels, the first in row 3, column 5"):
+        prefilter(pixels, FINEST)
