@@ -75,8 +75,8 @@ class Entry:
 
 
 @dataclasses.dataclass(frozen=True)
-class NotDifferentiable:
-    """Functions of arrays that have no derivative.
+class Exempt:
+    """Functions of arrays that have no derivative of their own.
 
     Args:
         names: their full names.
@@ -87,7 +87,15 @@ class NotDifferentiable:
     why: str
 
 
-Entries = tuple[Entry | NotDifferentiable, ...]
+# Reasons that many have.
+CONTRACT = "a contract: each kind of it has an entry of its own"
+HOST = "host code: NumPy, of numbers that are known"
+FILES = "host code: reads or writes files"
+RAYS = "host code: traces rays; visibility and hits are held fixed"
+CHOICE = "a choice or a check, of numbers that are known"
+PRECOMPUTATION = "host code: precomputation, pass by pass; what it makes is differentiable as its own entries say"
+
+Entries = tuple[Entry | Exempt, ...]
 
 
 def named(module: str, names: str) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jaxrelight.gradients.entry import Entries, Entry, Example, NotDifferentiable, Singular, named
+from jaxrelight.gradients.entry import Entries, Entry, Example, Exempt, Singular, named
+from jaxrelight.gradients.examples import at_point, scalar
 from jaxrelight.numerics import arrays, safe
 
 _A, _B = np.array([0.3, -2.0, 0.7]), np.array([1.0, 0.2, 0.1])
@@ -21,6 +22,24 @@ ENTRIES: Entries = (
             Singular("base 0, exponent 0", (np.zeros(()), np.zeros(())), (np.ones(()), np.ones(())), "zero"),
             Singular("base below 0", (np.full((), -0.5), np.full((), 0.5)), (np.ones(()), np.ones(()))),
         ),
+    ),
+    Entry(
+        named("jaxrelight.numerics.safe", "clamp"),
+        differentiable_in="values, least, most",
+        example=lambda: Example(safe.clamp, (np.array([-0.3, 0.2, 3.0]), np.zeros(()), np.ones(()))),
+        kinks="at both ends the slope inside",
+        singular=lambda: (
+            at_point("the lower end", (scalar(0), scalar(0), scalar(1)), 0, scalar(1), "ahead"),
+            at_point("the upper end", (scalar(1), scalar(0), scalar(1)), 0, scalar(1), "behind"),
+        ),
+    ),
+    Entry(
+        named("jaxrelight.numerics.safe", "root"),
+        differentiable_in="values",
+        example=lambda: Example(safe.root, (np.array([0.3, 2.0, -1.0]),)),
+        orders=2,
+        kinks="0 at 0, where the slope is infinite, and below",
+        singular=lambda: (Singular("0", (np.zeros(()),), (np.ones(()),), "zero"),),
     ),
     Entry(
         named("jaxrelight.numerics.safe", "norm"),
@@ -57,15 +76,15 @@ ENTRIES: Entries = (
         orders=2,
         dtypes="that asked for, else that of the values, at most as JAX is set",
     ),
-    NotDifferentiable(named("jaxrelight.numerics.arrays", "on_host"), "known numbers move to the host"),
-    NotDifferentiable(
+    Exempt(named("jaxrelight.numerics.arrays", "on_host"), "known numbers move to the host"),
+    Exempt(
         named("jaxrelight.numerics.numbers", "as_numbers"),
         "known numbers become float64 on the host, to be checked there; traced ones pass through",
     ),
-    NotDifferentiable(
+    Exempt(
         named("jaxrelight.numerics.random_numbers", "vogel_points random_rotation"),
         "from whole numbers, always float32: sample positions are held fixed",
     ),
-    NotDifferentiable(named("jaxrelight.numerics.buckets", "filled_up"), "NumPy: layout of arrays"),
-    NotDifferentiable(named("jaxrelight.numerics.unique_rows", "unique_rows"), "NumPy: indices"),
+    Exempt(named("jaxrelight.numerics.buckets", "filled_up"), "NumPy: layout of arrays"),
+    Exempt(named("jaxrelight.numerics.unique_rows", "unique_rows"), "NumPy: indices"),
 )

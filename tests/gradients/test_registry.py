@@ -9,7 +9,7 @@ from tests.gradients.public_functions import holding_arrays, modules, parsed, pu
 ALL = (*entries(), *of_fitting.ENTRIES)
 # Folders whose functions have no entries yet.
 _FOLDERS = (
-    *("basis", "brdf", "lights", "operators", "transport", "gather", "lighting", "images", "geometry", "files"),
+    *("brdf", "lights", "operators", "transport", "gather", "lighting", "images", "geometry", "files"),
     *("scene", "precomputation", "commands"),
 )
 NOT_YET = ("fitting", *(f"jaxrelight.{folder}" for folder in _FOLDERS))
