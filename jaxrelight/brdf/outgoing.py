@@ -28,4 +28,4 @@ def outgoing(
     """
     view = jax.vmap(reflection.view_side_at)(omega_o, uv, footprint)
     factor = jax.vmap(look_up, in_axes=(None, 0, 0))(weight, uv, footprint)
-    return jnp.where(omega_o[:, 2:, None] > 0, view * factor[:, None], 0)
+    return jnp.where(omega_o[:, 2:, None] <= 0, 0, view * factor[:, None])

@@ -80,7 +80,7 @@ class FixedView(Reflection):
     def light_side(self, omega_i: Float[Array, "3"]) -> Float[Array, "1 c"]:
         """f(ω_i, ω_o) itself; 0 where the eye is below the surface."""
         value = self._whole.evaluate(omega_i, self.omega_o)
-        return jnp.where(self.omega_o[2] > 0, value, 0)[None]
+        return jnp.where(self.omega_o[2] <= 0, 0, value)[None]
 
     @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:

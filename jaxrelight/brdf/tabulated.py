@@ -54,16 +54,16 @@ def half_difference(omega_i: Float[Array, "3"], omega_o: Float[Array, "3"]) -> H
 def _length(x, y, z):
     """0 with a zero gradient at 0."""
     square = x * x + y * y + z * z
-    some = square > 0
-    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
+    nothing = square == 0
+    return jnp.where(nothing, 0, jnp.sqrt(jnp.where(nothing, 1, square)))
 
 
 def _unit(y, x):
     """(sine, cosine) of an azimuth."""
     square = x * x + y * y
-    defined = square > _MIN_SQUARED_LENGTH
-    length = jnp.sqrt(jnp.where(defined, square, 1))
-    return jnp.where(defined, y / length, 0), jnp.where(defined, x / length, 1)
+    undefined = square <= _MIN_SQUARED_LENGTH
+    length = jnp.sqrt(jnp.where(undefined, 1, square))
+    return jnp.where(undefined, 0, y / length), jnp.where(undefined, 1, x / length)
 
 
 class Tabulated(Brdf):
