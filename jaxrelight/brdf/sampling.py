@@ -60,7 +60,7 @@ class CellSampler(eqx.Module):
         ring = jnp.clip((square * self.rings).astype(jnp.int32), 0, self.rings - 1)
         sector = jnp.clip((azimuth * self.sectors).astype(jnp.int32), 0, self.sectors - 1)
         density = self.shares[ring * self.sectors + sector] * (self.rings * self.sectors / math.pi)
-        return density * jnp.maximum(omega_i[2], 0)
+        return density * safe.clamp(omega_i[2], 0)
 
 
 def from_disc(square: Float[Array, ""], azimuth: Float[Array, ""]) -> Float[Array, "3"]:
