@@ -2,14 +2,15 @@
 
 The public names, each loaded when it is first used:
 
-    scenes      load_scene, Scene, Part, Camera, Mesh, load_mesh, plane, sphere, box, scene_of_mesh
+    scenes      load_scene, Scene, Part, Camera, Sensor, sensor_grid, Mesh, load_mesh, plane, sphere, box,
+                scene_of_mesh
     meshes      normalized, transformed, with_back, subdivided
     lights      Lights, Environment, environment, load_environment, load_lights, point, spot, directional, area,
                 projector, shaped, sky_of, even_sky, Light, Punctual, Incident
     materials   lambert, phong, lobe, lobe_sum, ashikhmin_shirley, load_brdf, factor, Factoring, Brdf, LobeSum,
                 Material, Component, Texture, VertexColours, constant, textured_lambert, textured_phong
     methods     Transport, Indirect, Prefiltered, Adaptive
-    lighting    prepare, open_store, Relighter, Image, LightLayers
+    lighting    prepare, open_store, Relighter, Image, LightLayers, measure, Measurement
     operators   Operator, Dense, SparseRows, Clustered, Stacked, as_lineax, sharded
     images      read_image, write_image, tone_map, auto_exposure, image_error
     speed       keep_compilations
@@ -25,6 +26,7 @@ _HOMES = {
     "scene.scene_file": ("load_scene", "load_lights"),
     "scene.mesh_scene": ("scene_of_mesh",),
     "geometry.camera": ("Camera",),
+    "geometry.sensors": ("Sensor", "sensor_grid"),
     "geometry.mesh": ("Mesh", "load_mesh", "normalized", "transformed", "with_back"),
     "geometry.subdivision": ("subdivided",),
     "geometry.primitives": ("plane", "sphere", "box"),
@@ -46,6 +48,7 @@ _HOMES = {
     "methods": ("Transport", "Indirect", "Prefiltered", "Adaptive"),
     "lighting.prepare": ("prepare", "open_store"),
     "lighting.contract": ("Relighter", "Image"),
+    "lighting.measurement": ("Measurement", "measure"),
     "lighting.light_layers": ("LightLayers",),
     "operators.contract": ("Operator", "as_lineax"),
     "operators.dense": ("Dense",),

@@ -6,6 +6,7 @@ from jaxrelight.command_line import run_command
 from jaxrelight.commands.demo import Demo
 from jaxrelight.commands.dials import HELP_ALL, with_dials
 from jaxrelight.commands.info import Info
+from jaxrelight.commands.measure import Measure
 from jaxrelight.commands.precompute import Precompute
 from jaxrelight.commands.relight import Relight
 from jaxrelight.commands.render import Render
@@ -14,9 +15,10 @@ from jaxrelight.commands.render import Render
 def main() -> None:
     """Runs `jaxrelight`."""
     arguments = sys.argv[1:]
-    commands = {"demo": Demo, "render": Render, "precompute": Precompute, "relight": Relight, "info": Info}
+    commands = {"demo": Demo, "render": Render, "precompute": Precompute, "relight": Relight}
+    commands |= {"measure": Measure, "info": Info}
     for name in arguments[:1]:
-        if name in ("render", "precompute"):
+        if name in ("render", "precompute", "measure"):
             commands[name] = with_dials(commands[name], arguments)
     sys.argv = ["--help" if argument == HELP_ALL else argument for argument in sys.argv]
     run_command(

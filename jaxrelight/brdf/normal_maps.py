@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.geometry.camera import Camera
-from jaxrelight.geometry.gbuffer import GBuffer, trace_gbuffer
+from jaxrelight.geometry.gbuffer import GBuffer, sensor_gbuffer, trace_gbuffer
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.arrays import as_array
@@ -66,13 +67,15 @@ def at_vertices(surfaces: Surfaces, maps: NormalMaps) -> Surfaces:
     return dataclasses.replace(surfaces, normals=normals) if any(maps) else surfaces
 
 
-def see(surfaces: Surfaces, tracer: Tracer, camera: Camera, maps: NormalMaps) -> GBuffer:
-    """A camera's G-buffer, whose normals are bent.
+def see(surfaces: Surfaces, tracer: Tracer, camera: Camera | Sensors, maps: NormalMaps) -> GBuffer:
+    """A camera's G-buffer, whose normals are bent; or that of sensors.
 
     A slope that faces away from the eye could not be seen, were it really there; it is turned until it is, nearly
     edge on. Else it would be black, as what is seen from below its normal is. So are interpolated normals at the rims
     of coarse meshes, unless their mesh asks for shading normals as they are.
     """
+    if isinstance(camera, Sensors):
+        return sensor_gbuffer(surfaces, camera)
     gbuffer = trace_gbuffer(surfaces, tracer, camera)
     side = np.where(gbuffer.back, -1.0, 1.0)[:, None]
     normals = gbuffer.normals.copy()

@@ -30,7 +30,8 @@ def with_dials(command: Any, arguments: Sequence[str]) -> type:
     lighting, why = _chosen_lighting(arguments)
     refused = "" if asks_for_help else _refusal(arguments, lighting, why)
     if lighting not in get_args(get_type_hints(command)["lighting"]):
-        refused = f"--lighting {lighting} precomputes nothing; render with it, or precompute transport or indirect"
+        cannot = "precomputes nothing; render with it, or precompute transport or indirect"
+        refused = f"--lighting {lighting} {getattr(command, 'cannot', cannot)}"
     if refused:
         print(f"jaxrelight: {refused}", file=sys.stderr)
         sys.exit(2)

@@ -75,6 +75,8 @@ def _store(path: pathlib.Path) -> dict:
 
     header = store.read_header(path)
     relighter, used = open_store(path), set(store.layers_of(header))
+    if (path / store.SENSOR_HEADER).is_file():
+        used |= set(store.layers_of(store.read_header(path, store.SENSOR_HEADER)))
     transport, local = relighter.transport, relighter.transport.stored.local
     for name in sorted(used):
         store.open_layer(path / name).check()

@@ -2,6 +2,7 @@
 
     STORE/
       store.json               format, scene, method, and which layers belong together
+      sensors.json             the same of the scene's sensors, where they were measured
       geometry-KEY/            vertices, normals and faces
       environment-KEY/         the scene's own light
       visibility-KEY/          one bit for each direction of each receiver
@@ -43,6 +44,8 @@ from jaxrelight.errors import InputError
 from jaxrelight.files.array_file import check_arrays, decode_arrays, encode_arrays
 
 FORMAT = 7
+# Names of headers: of what a camera sees, and of what sensors measure.
+HEADER, SENSOR_HEADER = "store.json", "sensors.json"
 
 # Seconds after which a file that was not renamed belongs to nobody any more: writing one takes milliseconds.
 _ABANDONED = 60
@@ -250,11 +253,11 @@ def open_layer(folder: pathlib.Path) -> Layer:
     return layer
 
 
-def write_header(folder: pathlib.Path, header: Mapping) -> None:
-    """Writes what belongs together into `store.json`."""
+def write_header(folder: pathlib.Path, header: Mapping, name: str = HEADER) -> None:
+    """Writes what belongs together into `store.json`, or a header of another name."""
     with _told(folder):
         _sweep(folder)
-        _write_sealed(folder / "store.json", {"format": FORMAT, **header})
+        _write_sealed(folder / name, {"format": FORMAT, **header})
 
 
 def layers_of(header: Mapping) -> list[str]:
@@ -278,13 +281,17 @@ def layers_of(header: Mapping) -> list[str]:
     return [name for _, name in names]
 
 
-def read_header(folder: pathlib.Path) -> dict:
-    """The content of `store.json`.
+def read_header(folder: pathlib.Path, name: str = HEADER) -> dict:
+    """The content of `store.json`, or of a header of another name.
 
     Raises:
         InputError: if there is none, it is damaged, or its format is another one.
     """
-    path = folder / "store.json"
+    path = folder / name
+    if name == SENSOR_HEADER and not path.is_file() and (folder / HEADER).is_file():
+        raise InputError(
+            f"{folder}: no sensors were precomputed there; measure a scene file that has some, with --store {folder}"
+        )
     if not path.is_file():
         raise InputError(f"{folder}: not a store, or its precomputation was not finished; run precompute")
     header = _read_sealed(path)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.threads import in_parts
@@ -21,13 +22,13 @@ _PIXEL_CHUNK = 16384
 class GBuffer:
     """Surface points seen through the centres of pixels that see any, and all pixels' directions.
 
-    Any set of rays may stand for the pixels.
+    Any set of rays may stand for the pixels, and so may the points of sensors, which lie on no face.
 
     Attributes:
         covered: which pixels, row by row, see a surface; their points follow in that order.
         directions: unit world direction through every pixel.
-        face: number of the face seen.
-        corners: vertex numbers of that face.
+        face: number of the face seen; −1 for points of sensors.
+        corners: vertex numbers of that face; those of the first face for points of sensors.
         barycentric: weights of its corners.
         back: whether the back of a two-sided mesh is seen; all normals are that side's.
         normals: interpolated unit shading normals.
@@ -36,7 +37,7 @@ class GBuffer:
         positions: in scene space.
         uv: surface coordinates.
         footprint: area in the first set of texture coordinates that a pixel covers.
-        mesh: number of the mesh seen.
+        mesh: number of the mesh seen; points of sensors have the one after the last.
         omega_o: unit direction back to the eye.
     """
 
@@ -54,6 +55,11 @@ class GBuffer:
     footprint: Float[np.ndarray, " p"]
     mesh: Int[np.ndarray, " p"]
     omega_o: Float[np.ndarray, "p 3"]
+
+    @property
+    def is_of_sensors(self) -> bool:
+        """Whether its points are those of sensors."""
+        return bool((self.face < 0).any())
 
 
 def trace_gbuffer(surfaces: Surfaces, tracer: Tracer, camera: Camera) -> GBuffer:
@@ -126,4 +132,26 @@ def trace_points(
         footprint=footprint,
         mesh=mesh,
         omega_o=-flat[covered],
+    )
+
+
+def sensor_gbuffer(surfaces: Surfaces, sensors: Sensors) -> GBuffer:
+    """The points of sensors in place of what pixels see, looked at from straight above."""
+    count = sensors.width
+    normals = sensors.normals
+    return GBuffer(
+        covered=np.ones((1, count), bool),
+        directions=-normals[None],
+        face=np.full(count, -1),
+        corners=np.tile(surfaces.faces[:1], (count, 1)),
+        barycentric=np.tile([1.0, 0.0, 0.0], (count, 1)),
+        back=np.zeros(count, bool),
+        positions=surfaces.to_scene(sensors.positions),
+        normals=normals,
+        face_normals=normals,
+        tangents=np.zeros((count, 3)),
+        uv=np.zeros((count, surfaces.uv.shape[1])),
+        footprint=np.zeros(count),
+        mesh=np.full(count, len(surfaces.two_sided)),
+        omega_o=normals,
     )

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.surfaces import Surfaces
-from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.geometry.tracer import OFFSET, Tracer
 from jaxrelight.numerics.threads import in_parts
 
 # Points in each part.
@@ -23,7 +23,10 @@ def ray_origins(surfaces: Surfaces, tracer: Tracer, points: GBuffer) -> Float[np
 
     They lie above the smooth surface on the side that is seen; on the face itself where that bends inwards, where its
     mesh asks for shading normals as they are, and where something stands between the face and the smooth surface.
+    Points of sensors may lie on any surface.
     """
+    if points.is_of_sensors:
+        return points.positions + OFFSET * points.face_normals
 
     def of_part(rows: slice) -> Float[np.ndarray, "r 3"]:
         lift = surfaces.face_lift[points.face[rows]]

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.picture_error import Pictured, PictureError, joined, measured_error
 from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, Sample, kept_reference
@@ -105,9 +106,10 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
     traced are pytrees, too: all of them can be arguments of a jitted function.
     """
 
-    # The dials, and the scene's camera.
+    # The dials; the scene's camera; and its sensors, where they take the camera's place, else None.
     method: eqx.AbstractVar[Method]
     camera: eqx.AbstractVar[Camera]
+    sensors: eqx.AbstractVar[Sensors | None]
 
     @abc.abstractmethod
     def scene_lights(self) -> Lights:
@@ -116,6 +118,8 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
     @abc.abstractmethod
     def view(self, camera: Camera | None = None, antialiasing: int = 1) -> ViewT:
         """What a camera sees; by default the scene's. Traces its rays on the host.
+
+        Where a scene was prepared at its sensors, it is a row of their points.
 
         Args:
             camera: any; by default the scene's.

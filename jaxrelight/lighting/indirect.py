@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int
 from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lighting.antialiasing import averaged, joined, samples_along
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind
@@ -124,6 +125,11 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         return self.precomputed.stored.camera
 
     @property
+    def sensors(self) -> Sensors | None:
+        """The scene's, where it was prepared at them."""
+        return self.precomputed.stored.sensors
+
+    @property
     def transport(self) -> PrecomputedTransport:
         """From light of the cloud to light terms of pixels."""
         return self.precomputed.transport
@@ -166,9 +172,9 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         """
         if camera is not None and camera != self.camera:
             raise InputError("this scene was precomputed for one camera; prepare the scene with another one instead")
-        geometry, camera = self.precomputed.stored.geometry, self.camera
+        geometry, eye = self.precomputed.stored.geometry, self.sensors or self.camera
         pixels = self.pixels.view()
-        return IndirectView(*samples_of_pixels(geometry, camera, self.materials, samples_along(antialiasing)), pixels)
+        return IndirectView(*samples_of_pixels(geometry, eye, self.materials, samples_along(antialiasing)), pixels)
 
     def light(self, lights: LightsLike, bounces: int | None = None) -> IndirectLight:
         """Light of the cloud with all bounces. Shadow rays from its points are cast on the host, or by a callback.

@@ -20,6 +20,7 @@ from jaxrelight.brdf.sub_lobes import PATTERNS, sub_lobes
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import samples_along
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
@@ -66,6 +67,7 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
     camera: Camera = eqx.field(static=True)
     geometry: SceneGeometry = eqx.field(static=True)
     occlusion: VertexOcclusion | None = None
+    sensors: Sensors | None = eqx.field(static=True, default=None)
 
     def scene_lights(self) -> Lights:
         """The scene's own lights."""
@@ -74,9 +76,13 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
     def view(self, camera: Camera | None = None, antialiasing: int = 1) -> VisibleSurfaces:
         """What a camera sees; by default the scene's. Traces its rays on the host."""
         factor = samples_along(antialiasing)
-        seen, gbuffer = trace_view(self.geometry, camera or self.camera, self.materials, factor=factor)
+        eye = self.sensors or camera or self.camera
+        seen, gbuffer = trace_view(self.geometry, eye, self.materials, factor=factor)
         if self.occlusion is None:
             return seen
+        if gbuffer.is_of_sensors:
+            slots, weights = self.occlusion.slots.of_vertex[:, None], np.ones((len(gbuffer.positions), 1))
+            return dataclasses.replace(seen, corners=corners_of(seen, gbuffer, slots, weights, [0]))
         vertices = np.where(gbuffer.back[:, None], self.geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
         slots = self.occlusion.slots.of_vertex[vertices]
         corners = corners_of(seen, gbuffer, slots, gbuffer.barycentric, [0] * len(seen.parts))

@@ -4,6 +4,8 @@ import pathlib
 
 from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
+from jaxrelight.files import store as stores
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lighting.adaptive.relighter import AdaptiveRelighter, sampled_materials
 from jaxrelight.lighting.contract import Relighter, Report
@@ -14,7 +16,7 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
-from jaxrelight.precomputation.vertex_occlusion import stored_occlusion, vertex_occlusion
+from jaxrelight.precomputation.vertex_occlusion import sensor_occlusion, stored_occlusion, vertex_occlusion
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
@@ -67,19 +69,29 @@ def prepare_with_build(
         case Prefiltered():
             return _prepare_prefiltered(scene, method, store, report), None
         case Adaptive():
+            if scene.of_sensors:
+                raise InputError(
+                    "Adaptive shares samples between neighbouring pixels, which sensors do not have; measure by "
+                    "Transport, Indirect or Prefiltered"
+                )
             if store is not None:
                 raise InputError("Adaptive precomputes nothing, so it has no store; leave it out")
             return _prepare_adaptive(scene, method, report), None
     raise InputError(f"a lighting method is Transport, Indirect, Prefiltered or Adaptive, not {type(method).__name__}")
 
 
-def open_store(folder: str | pathlib.Path) -> TransportRelighter | IndirectRelighter:
+def open_store(folder: str | pathlib.Path, *, sensors: bool = False) -> TransportRelighter | IndirectRelighter:
     """A relighter from a store; nothing is written.
+
+    Args:
+        folder: the store.
+        sensors: open what was precomputed last of a scene at its sensors, see `Scene.at_sensors`, and not of a camera.
 
     Raises:
         InputError: if it is not complete, damaged, or of another format.
     """
-    return _relighter_of(load(folder))
+    header = stores.read_header(pathlib.Path(folder), stores.SENSOR_HEADER) if sensors else None
+    return _relighter_of(load(folder, header))
 
 
 def default_method(scene: Scene) -> Method:
@@ -97,7 +109,14 @@ def _prepare_prefiltered(
     scene: Scene, method: Prefiltered, store: str | pathlib.Path | None, report: Report | None
 ) -> PrefilteredRelighter:
     materials, geometry, occlusion = _materials(scene, method.minification), _geometry(scene), None
-    if store is not None:
+    if isinstance(scene.eye, Sensors):
+        if store is not None:
+            raise InputError("a store has no visibility of sensors; leave it out, and rays are cast from them now")
+        if method.occlusion_resolution:
+            occlusion = sensor_occlusion(
+                scene.eye, geometry.surfaces, geometry.tracer, method.occlusion_resolution, report
+            )
+    elif store is not None:
         if not method.occlusion_resolution:
             raise InputError("an occlusion resolution of 0 reads no visibility of a store; leave one of them out")
         occlusion = stored_occlusion(store, scene, geometry.surfaces)
@@ -110,6 +129,7 @@ def _prepare_prefiltered(
         camera=scene.camera,
         geometry=geometry,
         occlusion=occlusion,
+        sensors=scene.eye if isinstance(scene.eye, Sensors) else None,
     )
 
 
@@ -126,11 +146,11 @@ def _prepare_adaptive(scene: Scene, method: Adaptive, report: Report | None) -> 
 
 def _materials(scene: Scene, minification) -> tuple[SurfaceMaterial, ...]:
     scene.check_materials()
-    names = sorted({part.material for part in scene.parts})
+    names = sorted(set(scene.material_of_mesh))
     return tuple(surface_material(name, as_material(scene.materials[name]), minification) for name in names)
 
 
 def _geometry(scene: Scene) -> SceneGeometry:
     surfaces = scene.surfaces()
-    maps = tuple(as_material(scene.materials[part.material]).normal_map for part in scene.parts)
-    return SceneGeometry(surfaces, Tracer(surfaces), maps, tuple(part.material for part in scene.parts))
+    maps = tuple(as_material(scene.materials[name]).normal_map for name in scene.material_of_mesh)
+    return SceneGeometry(surfaces, Tracer(surfaces), maps, scene.material_of_mesh)

@@ -20,6 +20,7 @@ from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import samples_along
 from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import shade_lights
@@ -111,6 +112,11 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         """The scene's."""
         return self.transport.stored.camera
 
+    @property
+    def sensors(self) -> Sensors | None:
+        """The scene's, where it was prepared at them."""
+        return self.transport.stored.sensors
+
     def scene_lights(self) -> Lights:
         """The scene's own lights, read from the store."""
         return self.transport.stored.lights()
@@ -176,13 +182,13 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
                 "this scene was precomputed for the pixels of one camera; for other views precompute with receivers "
                 "'vertices' (--receivers vertices), which any camera sees at no cost"
             )
-        of_pixels = self.transport.method.receivers == "pixels"
-        surfaces, corners = trace_receivers(self.transport, self.materials, camera, 1 if of_pixels else factor)
+        eye, of_pixels = self.sensors or camera, self.transport.method.receivers == "pixels"
+        surfaces, corners = trace_receivers(self.transport, self.materials, eye, 1 if of_pixels else factor)
         shares = tuple(self._traced_shares(part, surfaces) for part in surfaces.parts)
         view = TransportView(surfaces, corners, shares)
         if not of_pixels or factor == 1:
             return view
-        samples, nearest = samples_of_pixels(self.transport.geometry, camera, self.materials, factor)
+        samples, nearest = samples_of_pixels(self.transport.geometry, eye, self.materials, factor)
         samples = dataclasses.replace(samples, covered=nearest >= 0)
         return dataclasses.replace(view, samples=samples, nearest=nearest)
 

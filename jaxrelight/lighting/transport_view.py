@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.receivers import GROUP
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import averaged, joined, nearest_pixels, pixel_angle
 from jaxrelight.lighting.contract import Image
 from jaxrelight.lighting.visible_surfaces import Corners, SurfaceMaterial, VisibleSurfaces, corners_of, trace_view
@@ -52,7 +53,7 @@ class TransportView(eqx.Module):
 
 
 def trace_receivers(
-    transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera, factor: int
+    transport: PrecomputedTransport, materials: tuple[SurfaceMaterial, ...], camera: Camera | Sensors, factor: int
 ) -> tuple[VisibleSurfaces, tuple[Corners, ...]]:
     """Traces a camera's rays and finds each pixel's receivers; what the camera of pixel receivers sees is known."""
     geometry, receivers = transport.geometry, transport.receivers
@@ -67,18 +68,20 @@ def trace_receivers(
 
 
 def samples_of_pixels(
-    geometry: SceneGeometry, camera: Camera, materials: tuple[SurfaceMaterial, ...], factor: int
+    geometry: SceneGeometry, camera: Camera | Sensors, materials: tuple[SurfaceMaterial, ...], factor: int
 ) -> tuple[VisibleSurfaces, Int[Array, "fh fw"]]:
     """What several samples of each pixel see, and of every sample the pixel that it is most like; see `nearest_pixels`.
 
     Args:
         geometry: whose camera's pixels are known.
-        camera: that one.
+        camera: that one, or the sensors, each of whose points is a pixel with one sample.
         materials: of the relighter.
         factor: samples along each side of a pixel.
     """
     assert geometry.visible is not None
     samples, gbuffer = trace_view(geometry, camera, materials, factor=factor)
+    if isinstance(camera, Sensors):
+        return samples, as_array(np.arange(camera.width)[None])
     eye = geometry.surfaces.to_scene(np.asarray(camera.origin))
     return samples, as_array(nearest_pixels(gbuffer, geometry.visible, eye, pixel_angle(camera)))
 

@@ -17,11 +17,13 @@ from jaxrelight.brdf.normal_maps import see
 from jaxrelight.brdf.packed_texture import pack_weight
 from jaxrelight.brdf.spatial import Minification, PackedLobes, SpatialLobes
 from jaxrelight.brdf.texture import PixelWeight, Weight
+from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.ray_origins import ray_origins
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.pixels import SurfacePixels, assembled, padded, places
 from jaxrelight.lighting.shadows import SurfacePoints, surface_points
 from jaxrelight.lights.environment import Environment
@@ -252,7 +254,7 @@ def _background(pixels: Float[Array, "h w 3"], rotate_y, scale, u, v):
 
 def trace_view(
     geometry: SceneGeometry,
-    camera: Camera,
+    camera: Camera | Sensors,
     materials: Sequence[SurfaceMaterial],
     gbuffer: GBuffer | None = None,
     *,
@@ -262,7 +264,7 @@ def trace_view(
 
     Args:
         geometry: of the scene.
-        camera: any.
+        camera: any, or sensors in its place.
         materials: of the relighter, in its order; meshes of others are black.
         gbuffer: what is known to be seen already, at the samples of pixels.
         factor: samples along each side of a pixel.
@@ -342,6 +344,14 @@ def corners_of(
     return tuple(corners)
 
 
-def with_samples(camera: Camera, along: int) -> Camera:
-    """The camera with so many times its rows and columns: samples of each pixel along both sides."""
+def with_samples(camera: Camera | Sensors, along: int) -> Camera | Sensors:
+    """The camera with so many times its rows and columns: samples of each pixel along both sides.
+
+    Raises:
+        InputError: for several samples of the points of sensors.
+    """
+    if isinstance(camera, Sensors):
+        if along > 1:
+            raise InputError("points of sensors have no samples beside them; leave antialiasing at 1")
+        return camera
     return dataclasses.replace(camera, width=along * camera.width, height=along * camera.height)

@@ -31,6 +31,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_receivers
+from jaxrelight.geometry.sensors import Sensors, sensors_of
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.local import Light
@@ -98,7 +99,8 @@ def _load(
     store.layers_of(header)  # refuses names of anything else before any is opened
     method = _method_of(header["method"])
     camera = Camera(**header["camera"])
-    geometry = geometry or _geometry(folder, header, camera, method)
+    sensors = sensors_of(header["sensors"]) if "sensors" in header else None
+    geometry = geometry or _geometry(folder, header, sensors or camera, method)
     receivers = geometry.receivers
     assert receivers is not None
     visibility = None if isinstance(method, Indirect) else _whole_layer(folder / header["visibility"])
@@ -134,6 +136,7 @@ def _load(
         folder=folder,
         geometry=_for_views(geometry, method, materials, {part.material for part in lobes}),
         camera=camera,
+        sensors=sensors,
         visibility=visibility,
         environment=store.open_layer(folder / layer) if layer else None,
         rotate_y=environment["rotate_y"],
@@ -296,14 +299,14 @@ def _read_lights(folder: pathlib.Path, entry: dict | None) -> tuple[Light, ...]:
     return from_records(entry["each"], lambda name: layer.read(name, 0))
 
 
-def _geometry(folder: pathlib.Path, header: dict, camera: Camera, method: Transport | Indirect) -> SceneGeometry:
+def _geometry(folder: pathlib.Path, header: dict, eye: Camera | Sensors, method: Transport | Indirect) -> SceneGeometry:
     surfaces = _read_geometry(_whole_layer(folder / header["geometry"]))
     tracer = Tracer(surfaces)
     entries = {record["number"]: record["normal_map"] for record in header["materials"]}
     maps = {number: read_texture(folder, entry) for number, entry in entries.items() if entry is not None}
     normal_maps = tuple(maps.get(number) for number in header["material_of_mesh"])
     material_of_mesh = np.array(header["material_of_mesh"])
-    receivers, visible = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, camera, method)
+    receivers, visible = receivers_of(surfaces, tracer, material_of_mesh, normal_maps, eye, method)
     return SceneGeometry(surfaces, tracer, normal_maps, (), receivers, visible)
 
 
@@ -339,7 +342,7 @@ def receivers_of(
     tracer: Tracer,
     material_of_mesh: np.ndarray,
     normal_maps: NormalMaps,
-    camera: Camera,
+    eye: Camera | Sensors,
     method: Transport | Indirect,
 ) -> tuple[Receivers, GBuffer | None]:
     """The receivers that the method asks for, and what is seen where they are pixels.
@@ -348,7 +351,7 @@ def receivers_of(
     """
     if method.receivers == "vertices":
         return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh), None
-    seen = see(surfaces, tracer, camera, normal_maps)
+    seen = see(surfaces, tracer, eye, normal_maps)
     return pixel_receivers(seen, ray_origins(surfaces, tracer, seen), material_of_mesh), seen
 
 

@@ -21,6 +21,7 @@ from jaxrelight.brdf.sub_lobes import is_narrower_than_texels
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.receivers import Receivers
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.record import to_records
@@ -35,7 +36,7 @@ from jaxrelight.precomputation.layer_files import (
     write_table,
 )
 from jaxrelight.precomputation.load import receivers_of
-from jaxrelight.scene.scene import Scene
+from jaxrelight.scene.scene import SENSOR_MATERIAL, Scene
 from jaxrelight.transport.model import SceneGeometry, fixed_view
 
 
@@ -107,12 +108,19 @@ class PlacedScene:
     def receivers_key(self, *dials: object) -> str:
         """The key of the receivers and of dials."""
         scene, seen, bumps = self.scene, self.geometry.visible, self.geometry.normal_maps
-        camera = plain(dataclasses.astuple(scene.camera)) if self.method.receivers == "pixels" else None
+        camera, of_meshes, eye = None, self.material_of_mesh, scene.eye
+        if self.method.receivers == "vertices":
+            # Rows of vertices are the same where sensors are looked at.
+            of_meshes = of_meshes[: len(scene.parts)]
+        elif isinstance(eye, Sensors):
+            camera = [eye.positions.tolist(), eye.normals.tolist()]
+        else:
+            camera = plain(dataclasses.astuple(eye))
         bent = None
         if any(bumps):
             maps = (item for one in bumps for item in (one.content() if one else [None]))
             bent = [self._whole_key, seen.footprint if seen else None, *maps]
-        return store.key_of(self.key, self.material_of_mesh, camera, *dials, bent)
+        return store.key_of(self.key, of_meshes, camera, *dials, bent)
 
     @property
     def _whole_key(self) -> str:
@@ -198,6 +206,7 @@ class PlacedScene:
             "material_of_mesh": self.material_of_mesh.tolist(),
             "materials": materials,
             "camera": plain(dataclasses.asdict(scene.camera)),
+            **({"sensors": dataclasses.asdict(scene.eye)} if scene.of_sensors else {}),
             "environment": write_environment(self.folder, scene.lights.environment),
             "lights": lights,
         }
@@ -212,13 +221,14 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
     """
     _check_classes(scene, method)
     surfaces = scene.surfaces()
-    names = sorted({part.material for part in scene.parts})
-    material_of_mesh = np.array([names.index(part.material) for part in scene.parts])
+    # The sensors' material comes last, so that the others have the same numbers with them and without.
+    names = sorted(set(scene.material_of_mesh), key=lambda name: (name == SENSOR_MATERIAL, name))
+    material_of_mesh = np.array([names.index(name) for name in scene.material_of_mesh])
     key, whole_key = geometry_keys(scene, surfaces)
     folder = pathlib.Path(folder or store.default_folder(key))
     tracer = Tracer(surfaces)
-    bumps = [as_material(scene.materials[part.material]).normal_map for part in scene.parts]
-    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.camera, method)
+    bumps = [as_material(scene.materials[name]).normal_map for name in scene.material_of_mesh]
+    receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.eye, method)
     if not receivers.count:
         raise InputError(f"{scene.name}: the camera sees no surface; give it another target, or precompute vertices")
     make_folder(folder)

@@ -95,12 +95,14 @@ def precompute(
 
 
 def check_scene(scene: Scene, method: Transport | Indirect) -> None:
-    """Refuses, before long work, materials that cannot be put on a scene, and factors that cannot be had of them.
+    """Refuses, before long work, materials that cannot be put on a scene, factors that cannot be had, and dials.
 
     Raises:
         InputError: for the first of them.
     """
     scene.check_materials()
+    if scene.of_sensors and method.receivers == "vertices":
+        raise InputError("sensors are receivers of their own, not vertices; leave receivers at 'pixels'")
     if isinstance(method, Transport):
         # Bounces pass through vertices, whatever the receivers are.
         checked = _of_pass(method, 0) if method.bounces else method
@@ -113,7 +115,7 @@ def _finished(
 ) -> StoreBuild:
     """Writes the store's header."""
     header = {**built.header, "passes": [_layers(one) for one in passes]}
-    store.write_header(built.folder, header)
+    store.write_header(built.folder, header, store.SENSOR_HEADER if "sensors" in header else store.HEADER)
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(built.folder / name)

@@ -9,7 +9,10 @@ from jaxtyping import Int, Int8
 from jaxrelight.basis import cubemap
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
-from jaxrelight.geometry.receivers import Receivers, vertex_receivers
+from jaxrelight.geometry.gbuffer import sensor_gbuffer
+from jaxrelight.geometry.ray_origins import ray_origins
+from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_receivers
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.arrays import as_array
@@ -55,6 +58,20 @@ def vertex_occlusion(
         report: called with the progress, in vertices.
     """
     receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int))
+    return _traced_occlusion(receivers, tracer, resolution, report)
+
+
+def sensor_occlusion(
+    sensors: Sensors, surfaces: Surfaces, tracer: Tracer, resolution: int, report: Report | None = None
+) -> VertexOcclusion:
+    """The same of the points of sensors, in their order in place of vertices; arguments as of `vertex_occlusion`."""
+    points = sensor_gbuffer(surfaces, sensors)
+    of_sensors = np.zeros(len(surfaces.two_sided) + 1, int)
+    receivers = pixel_receivers(points, ray_origins(surfaces, tracer, points), of_sensors)
+    return _traced_occlusion(receivers, tracer, resolution, report)
+
+
+def _traced_occlusion(receivers: Receivers, tracer: Tracer, resolution: int, report: Report | None) -> VertexOcclusion:
     groups = len(receivers.filled)
     directions, vectors = bake.directions_for(resolution), cubemap.directions(resolution)
     codes: list[np.ndarray] = [np.zeros(0, np.int8)] * groups
@@ -69,7 +86,8 @@ def vertex_occlusion(
         done += int(receivers.filled[group])
         if report is not None:
             report("occlusion", done, receivers.count)
-    return _occlusion(np.concatenate(codes), receivers, tracer.key)
+    key = store.key_of(tracer.key, receivers.positions, receivers.normals)
+    return _occlusion(np.concatenate(codes), receivers, key)
 
 
 def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surfaces) -> VertexOcclusion:

@@ -5,13 +5,18 @@ from collections.abc import Mapping, Sequence
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.factoring import Factoring
+from jaxrelight.brdf.lobes import lambert
 from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.sensors import Sensor, Sensors
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import REFLECTIONS, check_choice
 from jaxrelight.scene.parts import Part, missing_sets, with_plain_materials
+
+# The material of sensors that are looked at.
+SENSOR_MATERIAL = "(sensor)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,6 +33,8 @@ class Scene:
         factors: how a material becomes factors, by its name, where not as the method says.
         reflections: how vertices reflect a material's lobes, by its name, where not as the method says; see
             `Transport.reflection`.
+        sensors: where light may be measured.
+        of_sensors: whether their points take the place of the camera's pixels; see `at_sensors`.
     """
 
     parts: Sequence[Part]
@@ -38,6 +45,8 @@ class Scene:
     factors: Mapping[str, Factoring] = dataclasses.field(default_factory=dict)
     reflections: Mapping[str, str] = dataclasses.field(default_factory=dict)
     assumptions: Sequence[str] = ()
+    sensors: Sequence[Sensor] = ()
+    of_sensors: bool = False
 
     def __init__(
         self,
@@ -49,6 +58,8 @@ class Scene:
         factors: Mapping[str, Factoring] | None = None,
         assumptions: Sequence[str] = (),
         reflections: Mapping[str, str] | None = None,
+        sensors: Sequence[Sensor] = (),
+        of_sensors: bool = False,
     ):
         """See the attributes; lights are an environment, local lights, or a list of both."""
         for field, value in {
@@ -60,6 +71,8 @@ class Scene:
             "factors": factors or {},
             "reflections": reflections or {},
             "assumptions": assumptions,
+            "sensors": tuple(sensors),
+            "of_sensors": of_sensors,
         }.items():
             object.__setattr__(self, field, value)
 
@@ -78,6 +91,32 @@ class Scene:
                 for part in self.parts
             ]
         )
+
+    def at_sensors(self) -> "Scene":
+        """The scene where the points of its sensors take the place of its camera's pixels.
+
+        Each is a white, one-sided, diffuse receiver, which no ray hits: its radiance is its irradiance over π. What is
+        prepared of this scene is for `measure`.
+
+        Raises:
+            InputError: for a scene without sensors, or two of one name, or where a material is called as theirs is.
+        """
+        if SENSOR_MATERIAL in self.materials:
+            raise InputError(f"{self.name}: sensors are of a material '{SENSOR_MATERIAL}'; rename the scene's")
+        Sensors(tuple(self.sensors))  # which refuses them
+        materials = {**self.materials, SENSOR_MATERIAL: lambert(1.0)}
+        return dataclasses.replace(self, materials=materials, of_sensors=True)
+
+    @property
+    def eye(self) -> Camera | Sensors:
+        """What is looked from: the camera, or the sensors in its place."""
+        return Sensors(tuple(self.sensors)) if self.of_sensors else self.camera
+
+    @property
+    def material_of_mesh(self) -> tuple[str, ...]:
+        """The names of the meshes' materials, in their order; last that of sensors, where those are looked at."""
+        names = tuple(part.material for part in self.parts)
+        return (*names, SENSOR_MATERIAL) if self.of_sensors else names
 
     @property
     def emits(self) -> bool:

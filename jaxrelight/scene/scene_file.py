@@ -33,6 +33,7 @@ from jaxrelight.scene.lights import read_light
 from jaxrelight.scene.materials import from_file, made_light, read_texture, weighted
 from jaxrelight.scene.mesh_placement import UpAxis, placed
 from jaxrelight.scene.scene import Part, Scene
+from jaxrelight.scene.sensors import read_sensors
 from jaxrelight.scene.surroundings import file_camera, file_lights
 
 # Keys that say how a material becomes factors, and the types of materials that are not mixtures.
@@ -61,6 +62,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False, up: Up
         _environment(root.table("environment"), path.parent, zero_nonfinite) if root.has("environment") else None
     )
     lights = tuple(read_light(table, path.parent) for table in root.tables("light"))
+    sensors = read_sensors(root)
     named = root.table("material", {})  # mesh files may bring all that is needed
     tables = {name: named.table(name) for name in named.names()}
     factors = {name: _factoring(table) for name, table in tables.items() if _has_any(table, _FACTORING)}
@@ -99,7 +101,7 @@ def load_scene(path: str | pathlib.Path, *, zero_nonfinite: bool = False, up: Up
     if camera is None:
         camera = _camera(root.table("camera"))  # which tells that there is none
     lights = Lights(environment, lights)
-    scene = Scene(parts, materials, camera, lights, path.stem, factors, tuple(assumptions), reflections)
+    scene = Scene(parts, materials, camera, lights, path.stem, factors, tuple(assumptions), reflections, sensors)
     return scene.with_plain_materials()
 
 

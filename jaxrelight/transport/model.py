@@ -25,6 +25,7 @@ from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.receivers import Receivers
+from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.lights.environment import Environment
@@ -64,9 +65,10 @@ class SceneGeometry(ByKey):
         surfaces: all meshes.
         tracer: rays against them.
         normal_maps: of each mesh; empty where they are bent into the normals of vertices already.
-        material_of_mesh: the name of each mesh's material; None where no receiver is of that material.
+        material_of_mesh: the name of each mesh's material, and last that of sensors where they are looked at; None
+            where no receiver is of that material.
         receivers: the points of the operator's rows; None for a method without.
-        visible: what the scene's camera sees, where receivers are its pixels.
+        visible: what the scene's camera sees, or the points of sensors, where receivers are its pixels.
     """
 
     surfaces: Surfaces
@@ -102,6 +104,7 @@ class StoredScene(ByKey):
         scale: of that environment.
         local: the scene's own local lights.
         cloud: the points where light comes from that is not of the sky; None for distant light.
+        sensors: whose points are the receivers in place of the camera's pixels; None where those are.
     """
 
     key: str
@@ -114,6 +117,7 @@ class StoredScene(ByKey):
     scale: float
     local: tuple[Light, ...]
     cloud: GatherCloud | None = None
+    sensors: Sensors | None = None
 
     def lights(self) -> Lights:
         """The scene's own lights, the environment read from its layer."""

@@ -5,7 +5,7 @@ import dataclasses
 from jaxrelight.methods import METHODS
 
 DIALS_OF = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in METHODS.items()}
-_NAMED = "materials", "meshes", "filtered_lobes", "parts"
+_NAMED = "materials", "meshes", "filtered_lobes", "parts", "sensors"
 
 
 def _of_group(name: str, *keys: str) -> set[str]:
@@ -42,6 +42,8 @@ KEYS = {
     "prefiltered": _lit("prefiltered") | NOW,
     "adaptive": _lit("adaptive") | NOW | PLAN | _of_group("maps", "bandwidth", "level", "samples", "error"),
     "relight": _lit("transport") | RELIT,
+    "measure": _lit("indirect") | INDIRECT | {"table", "lights", "leaves_out"}
+    | _of_group("seconds", "measure", "write") | _of_group("sensors.*", "points", "mean", "min", "max", "uniformity"),
     "demo": _lit("transport") | TRANSPORT - {"seconds.load"} | SHOWN,
     "store": _lit("transport")
     | STORE

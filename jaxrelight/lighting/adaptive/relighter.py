@@ -139,6 +139,8 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
     method: Adaptive = eqx.field(static=True)
     camera: Camera = eqx.field(static=True)
     geometry: SceneGeometry = eqx.field(static=True)
+    # Neighbouring pixels share samples, which sensors have none of.
+    sensors: None = eqx.field(static=True, default=None)
 
     @property
     def materials(self) -> tuple[SurfaceMaterial, ...]:
