@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt8
 
 from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
@@ -39,7 +39,7 @@ from jaxrelight.lighting.transport_view import TransportView, samples_of_pixels
 from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, VisibleSurfaces
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
-from jaxrelight.lights.local import Light
+from jaxrelight.lights.local import Light, Punctual
 from jaxrelight.lights.sky import mean_radiance, nearest_directions, sky_of
 from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
@@ -209,11 +209,15 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         groups = [one for one in lights if isinstance(one, LightGroup)]
         groups += group_lights([one for one in lights if isinstance(one, Light)], self._centre)
         visibility = trace_visibility(self.points, groups) if shadows else all_visible(self.points, groups)
-        cloud = self.precomputed.cloud
-        irradiance = jnp.zeros_like(cloud.albedo)
-        for group, bits in zip(groups, visibility, strict=True):
-            irradiance = _irradiance(irradiance, self.points, group.lights, bits)
+        cloud, irradiance = self.precomputed.cloud, self.irradiance_at_cloud(groups, visibility)
         return _reflected(irradiance, cloud.albedo if albedo is None else albedo, cloud.emission)
+
+    def irradiance_at_cloud(self, groups: Sequence[LightGroup], visibility: Visibility) -> Float[Array, "g c"]:
+        """What arrives at the cloud's points of lights, whose visibility from `points` is known. Pure."""
+        irradiance = jnp.zeros_like(self.precomputed.cloud.albedo)
+        for group, bits in zip(groups, visibility, strict=True):
+            irradiance = add_irradiance(irradiance, self.points, group.lights, bits)
+        return irradiance
 
     def sky_light(
         self,
@@ -381,8 +385,10 @@ def _nearest_directions(towards: bytes, count: int, height: int, width: int) -> 
 
 
 @jax.jit
-def _irradiance(irradiance, points: SurfacePoints, lights, bits):
-    """Irradiance of the cloud's points with that of a group of lights."""
+def add_irradiance(
+    irradiance: Float[Array, "g c"], points: SurfacePoints, lights: Punctual, bits: UInt8[Array, "n b"]
+) -> Float[Array, "g c"]:
+    """Irradiance of the first of some points with that of lights, whose visibility from them is known. Pure."""
     count = len(irradiance)
     positions, normals = points.positions[:count], points.normals[:count]
 

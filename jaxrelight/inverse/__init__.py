@@ -1,0 +1,1 @@
+"""Inverse problems: what lights or materials make given pictures or measurements."""
