@@ -16,8 +16,10 @@ from jaxrelight.lighting.shadows import LightGroup
 
 # Unknowns of all kinds.
 Unknowns = tuple[Float[Array, "n p"], ...]
-# Relative and absolute steps at which one solve ends.
-_TOLERANCE = 1e-6
+# Levenberg–Marquardt begins with a damping of 1, which is much for residuals of order one.
+_RESIDUAL_SCALE = 10.0
+# Relative and absolute steps, of unknowns and of the loss, at which one solve ends.
+_TOLERANCE = 1e-5, 1e-10
 
 
 class LampProblem(eqx.Module):
@@ -123,9 +125,9 @@ def solved(problem: LampProblem, unknowns: Unknowns, steps: int) -> Unknowns:
     """Levenberg–Marquardt's best unknowns after some steps, shadows held fixed."""
 
     def residual(unknowns, problem):
-        return problem.targets.residual(outputs_of(unknowns, problem))
+        return _RESIDUAL_SCALE * problem.targets.residual(outputs_of(unknowns, problem))
 
-    solver = optx.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
+    solver = optx.LevenbergMarquardt(*_TOLERANCE)
     return optx.least_squares(residual, solver, unknowns, problem, max_steps=steps, throw=False).value
 
 

@@ -73,7 +73,7 @@ HELD_FIXED = (
 # A round moves unknowns by no more than this, and tries these shares of it.
 _MAX_MOVE, _SHARES = 1.5, (1.0, 0.5, 0.25, 0.1)
 # Steps of Levenberg–Marquardt in a round. Rounds end when they lower the loss by less than this share, or at this loss.
-_STEPS, _LEAST_GAIN, _SOLVED = 8, 1e-3, 1e-11
+_STEPS, _LEAST_GAIN, _SOLVED = 12, 1e-3, 1e-11
 # An unknown of order one moves a lamp by this share of the scene's half size; starts differ by it, and by these.
 _REACH, _AIM_SPREAD, _CONE_SPREAD = 0.25, 0.4, 0.25
 # How much brightnesses of the start are held together, so that none is dark from where no slope leads on.
