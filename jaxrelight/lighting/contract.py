@@ -3,8 +3,8 @@
 import abc
 import functools
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Generic, Literal, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.sensors import Sensors
@@ -22,6 +24,9 @@ from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Method, check_whole
 from jaxrelight.numerics.arrays import is_traced
 from jaxrelight.progress import Report
+
+# What every method holds where materials change, in words.
+VISIBILITY = "what surfaces hide"
 
 
 class Image(eqx.Module):
@@ -163,6 +168,55 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
             traced: from `trace` of both; where it is left out, it is traced here.
             report: called with the progress of long work.
         """
+
+    @abc.abstractmethod
+    def with_materials(
+        self, materials: Mapping[str, Brdf | Material], *, bounces: Literal["held", "followed"] | None = None
+    ) -> Self:
+        """The same prepared scene with other materials: no ray is cast, and nothing is precomputed.
+
+        Differentiable in all parameters and textures, which may be traced. What stays as it was prepared is told by
+        `held`; normal maps are of the geometry, and those of the given materials are not read. Where the prepared
+        scene is traced itself, it is one that came out of this function, with materials of the same kinds, before.
+
+            brighter = relighter.with_materials({"paint": jr.phong(0.4, 0.3, 50)})
+            image = brighter.shade(brighter.relit(lit), view, traced)
+
+        Args:
+            materials: by the names of the scene's; the others stay.
+            bounces: whether the light that surfaces reflect onto each other is "held" as it was with the materials that
+                were prepared, or "followed"; by default it is followed where the method can: see `held`.
+
+        Raises:
+            InputError: for a name that no surface has, for materials that the prepared scene cannot have, or bounces
+                that cannot be followed.
+        """
+
+    @property
+    @abc.abstractmethod
+    def held(self) -> tuple[str, ...]:
+        """What stays as it was prepared where materials change, in words."""
+
+    def relit(self, lit: LitT) -> LitT:
+        """The light of a relighter of the same scene with other materials, as `light` of this one gives it.
+
+        What does not depend on materials is taken over, so that this costs less than `light`; differentiable in them.
+
+        Args:
+            lit: from `light` of the relighter that `with_materials` was called on, or of one that came out of it.
+        """
+        return lit
+
+    def _materials_of(self, materials: Mapping[str, Brdf | Material], names: Sequence[str]) -> dict[str, Material]:
+        """Materials by their names, of which each is one of those that are prepared.
+
+        Raises:
+            InputError: for a name that is none of them.
+        """
+        for name in materials:
+            if name not in names:
+                raise InputError(f"no surface has a material '{name}'; there are {', '.join(sorted(names))}")
+        return {name: as_material(of) for name, of in materials.items()}
 
     @abc.abstractmethod
     def background(self, lit: LitT, view: ViewT) -> Float[Array, "h w 3"]:

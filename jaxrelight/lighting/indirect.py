@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -12,13 +12,15 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt8
 
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.material import Material
 from jaxrelight.errors import InputError
 from jaxrelight.gather.gather_cloud import FAR
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.tracer import OFFSET
 from jaxrelight.lighting.antialiasing import averaged, joined, samples_along
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind
+from jaxrelight.lighting.contract import VISIBILITY, Image, Relighter, Report, behind
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.every_link import MEANS, EveryLink, encoded
 from jaxrelight.lighting.picture_error import Pictured
@@ -45,6 +47,8 @@ from jaxrelight.methods import Indirect
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.operators.contract import Operator
 from jaxrelight.operators.sharded import sharded
+from jaxrelight.precomputation.surface_albedo import albedo_at_points
+from jaxrelight.transport.changed_materials import with_materials
 from jaxrelight.transport.model import PrecomputedIndirect, PrecomputedTransport
 
 # Side of the cube map that is as fine as maps of a sky in the cloud are read.
@@ -82,11 +86,27 @@ class IndirectLight(NamedTuple):
         environment: that lights, and is seen behind surfaces; None for none.
         cloud: radiance of the cloud's points that pixels see, with all bounces.
         groups: lights that light pixels directly: local ones, and distant ones that stand for the environment.
+        arriving: what the light of the cloud is made of, for other materials.
     """
 
     environment: Environment | None
     cloud: Float[Array, "g c"]
     groups: tuple[LightGroup, ...]
+    arriving: "CloudLight | None" = None
+
+
+class CloudLight(eqx.Module):
+    """What arrives at the points of a cloud without having been reflected.
+
+    Attributes:
+        irradiance: by lights; None where nothing of lights or emission is to be reflected.
+        sky: radiance of directions of the sky; None where there are none, or no sky lights.
+        bounces: how often light is reflected at most.
+    """
+
+    irradiance: Float[Array, "g c"] | None
+    sky: Float[Array, "g c"] | None
+    bounces: int = eqx.field(static=True)
 
 
 class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
@@ -189,15 +209,64 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
         if environment is not None and not self.method.sky:
             local.append(sky_of(environment, self.method.sky_samples))
         groups = group_lights(local, self._centre)
-        total = jnp.zeros_like(self.precomputed.cloud.albedo)
+        irradiance, sky = None, None
         if bounces and (groups or self.transport.emits or environment is None):
-            total = self.add_bounces(self.direct_light_at_cloud(groups), bounces)
+            irradiance = self.irradiance_at_cloud(groups, trace_visibility(self.points, groups))
         if environment is not None and self.method.sky:
             pixels = coarsened(environment.pixels, SKY_RESOLUTION)
-            # It has not been reflected yet.
             sky = self.sky_light(pixels, environment.rotate_y, environment.scale)
-            total = total + self.add_bounces(sky, bounces + 1)
-        return IndirectLight(environment, total, groups)
+        arriving = CloudLight(irradiance, sky, bounces)
+        return IndirectLight(environment, self._light_of_cloud(arriving), groups, arriving)
+
+    def _light_of_cloud(self, arriving: CloudLight) -> Float[Array, "g c"]:
+        """Radiance of the cloud's points that pixels see, with all bounces."""
+        cloud, bounces = self.precomputed.cloud, arriving.bounces
+        total = jnp.zeros_like(cloud.albedo)
+        if arriving.irradiance is not None:
+            total = self.add_bounces(_reflected(arriving.irradiance, cloud.albedo, cloud.emission), bounces)
+        if arriving.sky is not None:
+            # It has not been reflected yet.
+            total = total + self.add_bounces(arriving.sky, bounces + 1)
+        return total
+
+    def relit(self, lit: IndirectLight) -> IndirectLight:
+        """The light as the cloud's albedos and emission reflect it now; see `Relighter.relit`."""
+        return lit if lit.arriving is None else lit._replace(cloud=self._light_of_cloud(lit.arriving))
+
+    def with_materials(
+        self, materials: Mapping[str, Brdf | Material], *, bounces: Literal["held", "followed"] | None = None
+    ) -> "IndirectRelighter":
+        """The same scene with other materials, see `Relighter.with_materials`.
+
+        Direct light follows in everything. Gathered light is reflected by diffuse surfaces exactly; other BRDFs reflect
+        it by the shape of the lobes that were prepared, and as much as the new ones. The albedos of the cloud's points
+        follow, or are held.
+
+        Raises:
+            InputError: as every relighter; for bounces that are to be followed where photons met the albedos.
+        """
+        photons = bool(self.method.photons) and self.method.bounces > 2
+        if bounces == "followed" and photons:
+            raise InputError("photons met the albedos that they were shot with; take bounces='held', or gather instead")
+        given = self._materials_of(materials, [one.name for one in self.materials])
+        transport, cloud = with_materials(self.transport, given), self.precomputed.cloud
+        if bounces == "followed" or (bounces is None and not photons):
+            geometry = self.precomputed.stored.geometry
+            reflected = albedo_at_points(geometry, self.precomputed.points, given, cloud.albedo, cloud.emission)
+            cloud = dataclasses.replace(cloud, albedo=reflected[0], emission=reflected[1])
+        precomputed = PrecomputedIndirect(transport, cloud)
+        changed = precomputed, TransportRelighter(transport)
+        return eqx.tree_at(lambda of: (of.precomputed, of.pixels), self, changed)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Visibility, and by what shape lobes reflect gathered light."""
+        glossy = any(not block.reflection.is_constant for block in self.transport.blocks)
+        return (
+            VISIBILITY,
+            *(["the shape of the lobes that reflect gathered light"] if glossy else []),
+            *(["the albedos that photons met"] if self.method.photons else []),
+        )
 
     def direct_light_at_cloud(
         self,

@@ -6,7 +6,8 @@ few hundred rays from each vertex meet. What is left out: surfaces do not light 
 
 import dataclasses
 import functools
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,7 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.spatial import PackedLobes
 from jaxrelight.brdf.sub_lobes import PATTERNS, sub_lobes
 from jaxrelight.brdf.texture import look_up
@@ -22,7 +25,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import samples_along
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
+from jaxrelight.lighting.contract import VISIBILITY, Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import PIXEL_BATCH, Texels, at_texel, shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.filtered_lobes import Horizon, LobeMean, lobe_radiance
@@ -30,7 +33,14 @@ from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.reference import ExactTransport, Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
-from jaxrelight.lighting.visible_surfaces import Corners, SurfaceMaterial, VisibleSurfaces, corners_of, trace_view
+from jaxrelight.lighting.visible_surfaces import (
+    Corners,
+    SurfaceMaterial,
+    VisibleSurfaces,
+    corners_of,
+    surface_material,
+    trace_view,
+)
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.lights.prefiltered import PrefilteredMaps, maps_of
@@ -108,6 +118,22 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
                     f"[material.{material.name}]: prefiltered environments are for sums of lobes; fit lobes to it with "
                     "'jaxrelight-fit lafortune', or use --lighting transport"
                 )
+
+    def with_materials(
+        self, materials: Mapping[str, Brdf | Material], *, bounces: Literal["held", "followed"] | None = None
+    ) -> "PrefilteredRelighter":
+        """The same scene with other materials, see `Relighter.with_materials`; there are no bounces."""
+        given = self._materials_of(materials, [one.name for one in self.materials])
+        changed = tuple(
+            surface_material(one.name, given[one.name], self.method.minification) if one.name in given else one
+            for one in self.materials
+        )
+        return dataclasses.replace(self, materials=changed)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Visibility."""
+        return (VISIBILITY,)
 
     def trace(self, lit: PrefilteredLight, view: VisibleSurfaces, *, report: Report | None = None) -> Visibility:
         """Shadow rays towards local lights."""

@@ -2,6 +2,7 @@
 
 import concurrent.futures
 import os
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -24,17 +25,21 @@ _RECEIVER_BATCH = 1024
 
 
 def sun_terms(
-    transport: PrecomputedTransport, texels: Int[Array, " n"], radiance: Float[Array, "n c"]
+    transport: PrecomputedTransport,
+    texels: Int[Array, " n"],
+    radiance: Float[Array, "n c"],
+    blocks: Sequence[Block] | None = None,
 ) -> tuple[Float[Array, "_ _ c"], ...]:
     """Light terms of every block under some texels alone, as uncompressed rows have them (Wang 2006 eq. 3).
 
-    What bounces is not among them. Differentiable in the radiance; shadow rays are cast on the host, or by a callback
-    where arrays are traced.
+    What bounces is not among them. Differentiable in the radiance and in reflections; shadow rays are cast on the host,
+    or by a callback where arrays are traced.
 
     Args:
         transport: whose receivers are lit.
         texels: numbers of texels of its cube map.
         radiance: theirs; 0 for texels that no sun is in.
+        blocks: some of the transport's; by default all.
     """
     assert isinstance(transport.method, Transport)
     s, n = transport.method.samples_per_side, transport.method.resolution
@@ -47,7 +52,7 @@ def sun_terms(
     )
     known = jax.lax.stop_gradient((vectors, shares))
     terms, visible, first = [], None, -1
-    for block in transport.blocks:
+    for block in transport.blocks if blocks is None else blocks:
         if not block.has_direct:
             shape = padded_receivers(block.group_count * GROUP), block.reflection.terms, radiance.shape[-1]
             terms.append(jnp.zeros(shape, radiance.dtype))

@@ -2,8 +2,8 @@
 
 import dataclasses
 import functools
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,9 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int
 
 from jaxrelight.basis import latlong
+from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import Material
 from jaxrelight.brdf.outgoing import outgoing
 from jaxrelight.brdf.reflection import FixedView, Reflection
 from jaxrelight.brdf.spatial import SpatialLobes
@@ -22,7 +24,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import samples_along
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of, kept_beside
+from jaxrelight.lighting.contract import VISIBILITY, Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
 from jaxrelight.lighting.exact_receivers import ExactAtVertices
@@ -64,7 +66,8 @@ from jaxrelight.lights.sun import split_sun
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.transport import rebake as baking
-from jaxrelight.transport.model import PrecomputedTransport
+from jaxrelight.transport.changed_materials import with_materials
+from jaxrelight.transport.model import Block, PrecomputedTransport
 
 
 class TransportLight(NamedTuple):
@@ -75,12 +78,30 @@ class TransportLight(NamedTuple):
         terms: light terms of every block, under the environment and what surfaces emit.
         groups: the local lights.
         maps: of the environment, for filtered lobes; None without either.
+        arriving: what the terms are made of, for other materials.
     """
 
     environment: Environment | None
     terms: LightTerms
     groups: tuple[LightGroup, ...]
     maps: PrefilteredMaps | None = None
+    arriving: "ArrivingLight | None" = None
+
+
+class ArrivingLight(NamedTuple):
+    """What light terms are made of.
+
+    Attributes:
+        light: the operators' input, without a sun that is split off.
+        sun: that sun, as the operators' input; None for none.
+        texels: numbers of its texels.
+        radiance: theirs.
+    """
+
+    light: Float[Array, "*n d c"]
+    sun: Float[Array, "d c"] | None = None
+    texels: Int[Array, " t"] | None = None
+    radiance: Float[Array, "t c"] | None = None
 
 
 class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
@@ -94,9 +115,9 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     # Exponents of the maps that filtered lobes read; None for maps of all.
     exponents: tuple[float, float] | None = eqx.field(static=True)
 
-    def __init__(self, transport: PrecomputedTransport):
+    def __init__(self, transport: PrecomputedTransport, every_exponent: bool = False):
         self.transport = transport
-        self.exponents = exponents_of(transport.lobes)
+        self.exponents = None if every_exponent else exponents_of(transport.lobes)
         parts = (*transport.blocks, *transport.lobes)
         names = list(dict.fromkeys(part.material for part in parts))
         self.materials = tuple(_material(name, transport) for name in names)
@@ -162,6 +183,47 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             for part, brdf in zip(old, lobes, strict=True)
         )
         return TransportRelighter(dataclasses.replace(self.transport, lobes=replaced))
+
+    def with_materials(
+        self, materials: Mapping[str, Brdf | Material], *, bounces: Literal["held", "followed"] | None = None
+    ) -> "TransportRelighter":
+        """The same scene with other materials, see `Relighter.with_materials`.
+
+        A diffuse albedo or texture is a factor on light terms, which stay what they are. Filtered lobes are exchanged.
+        Rows of other BRDFs are baked from stored visibility whenever light terms are made, at vertices by the factors
+        that are best for the view maps before. Bounced light that arrives stays what it was: diffuse surfaces reflect
+        it by their own albedo, others by the shape of the lobes before, and as much as the new ones.
+
+        Raises:
+            InputError: as every relighter; with bounces, for bounces that are to be followed, and for lobes whose
+                direct light is of factors.
+        """
+        if bounces == "followed" and self.method.bounces:
+            raise InputError("bounced light of precomputed transport cannot follow materials; prepare the scene anew")
+        given = self._materials_of(materials, [one.name for one in self.materials])
+        return TransportRelighter(with_materials(self.transport, given), every_exponent=True)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Visibility, kept coefficients, and what arrives by bounces."""
+        method, lobes = self.method, bool(self.transport.lobes)
+        return (
+            VISIBILITY,
+            *(["which coefficients are kept"] if method.coefficients != "all" else []),
+            *(["the narrower lobes that filtered ones are divided into"] if lobes else []),
+            *(["bounced light that arrives at surfaces"] if method.bounces else []),
+        )
+
+    def relit(self, lit: TransportLight) -> TransportLight:
+        """The light with light terms of the blocks that other materials changed; see `Relighter.relit`."""
+        blocks, arriving = self.transport.blocks, lit.arriving
+        changed = [number for number, block in enumerate(blocks) if block.remade]
+        if not changed or arriving is None:
+            return lit
+        terms = list(lit.terms)
+        for number, own in zip(changed, self._terms_of(arriving, [blocks[number] for number in changed]), strict=True):
+            terms[number] = own
+        return lit._replace(terms=tuple(terms))
 
     def view(self, camera: Camera | None = None, antialiasing: int = 1) -> TransportView:
         """What a camera sees; by default the scene's.
@@ -248,11 +310,14 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
         Raises:
             InputError: for a light of another number of coefficients.
         """
+        return self._products(light, self.transport.blocks)
+
+    def _products(self, light: Float[Array | np.ndarray, "*n d c"], blocks: Sequence[Block]) -> LightTerms:
         d = self.transport.basis.size
         if light.ndim not in (2, 3) or light.shape[-2] != d:
             raise InputError(f"light has shape {tuple(light.shape)}; it must be [{d:,}, c], or [n, {d:,}, c]")
         light = as_array(light)
-        return tuple(with_emitted(light_terms(block.operator, light, block), block) for block in self.transport.blocks)
+        return tuple(with_emitted(light_terms(block.operator, light, block), block) for block in blocks)
 
     def light(self, lights: LightsLike) -> TransportLight:
         """Light terms under an environment, and the local lights: what a change of light costs.
@@ -270,33 +335,44 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
             used = with_coarse_pixels(environment, max(self.method.resolution, COARSE_RESOLUTION))
         if used is None:
             pixels = np.zeros((2, 4, 3), np.float32)
-            terms = self.terms(self.light_vector(pixels))
+            arriving = ArrivingLight(self.light_vector(pixels))
         elif self.method.coefficients == "all" or not self.method.split_sun:
-            terms = self.terms(self._light_vector_of(used))
+            arriving = ArrivingLight(self._light_vector_of(used))
         else:
-            terms = self._terms_with_sun(used)
+            arriving = self._without_sun(used)
+        terms = self._terms_of(arriving, self.transport.blocks)
         groups = group_lights(lights.local, self.transport.surfaces.centre)
-        return TransportLight(environment, terms, groups, self._maps(used))
+        return TransportLight(environment, terms, groups, self._maps(used), arriving)
 
-    def _terms_with_sun(self, environment: Environment) -> LightTerms:
+    def _without_sun(self, environment: Environment) -> ArrivingLight:
+        """An environment with its sun split off, where it has one."""
         whole = texels_of(environment, self.method.resolution)
         rest, sun, texels, radiance = _split(whole, self.transport.basis)
-        terms = self.terms(rest)
         known = jax.lax.stop_gradient(radiance)
         if not is_traced(known) and not np.asarray(known).any():
+            return ArrivingLight(rest)
+        return ArrivingLight(rest, sun, texels, radiance)
+
+    def _terms_of(self, arriving: ArrivingLight, blocks: Sequence[Block]) -> LightTerms:
+        """Light terms of some blocks."""
+        terms = self._products(arriving.light, blocks)
+        if arriving.sun is None:
             return terms
-        with_sun = list(sun_terms(self.transport, texels, radiance))
-        for number, block in enumerate(self.transport.blocks):
+        assert arriving.texels is not None
+        assert arriving.radiance is not None
+        with_sun = list(sun_terms(self.transport, arriving.texels, arriving.radiance, blocks))
+        for number, block in enumerate(blocks):
             for bounced in block.bounced:
-                with_sun[number] += light_terms(bounced, sun, block)
+                with_sun[number] += light_terms(bounced, arriving.sun, block)
         return tuple(part + more for part, more in zip(terms, with_sun, strict=True))
 
     def light_many(self, environments: Sequence[Environment]) -> tuple[TransportLight, ...]:
         """What `light` gives for each of several environments: by one product for all; no sun is split off."""
-        terms = self.terms(jnp.stack([self._light_vector_of(one) for one in environments]))
+        vectors = [self._light_vector_of(one) for one in environments]
+        terms = self.terms(jnp.stack(vectors))
         return tuple(
-            TransportLight(one, tuple(part[number] for part in terms), (), self._maps(one))
-            for number, one in enumerate(environments)
+            TransportLight(one, tuple(part[number] for part in terms), (), self._maps(one), ArrivingLight(vector))
+            for number, (one, vector) in enumerate(zip(environments, vectors, strict=True))
         )
 
     def _maps(self, environment: Environment | None) -> PrefilteredMaps | None:

@@ -1,17 +1,22 @@
 """The albedo of any point of a scene's surfaces, as diffuse light between them needs it."""
 
+from collections.abc import Mapping
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrelight.brdf.albedo import mean_albedo
-from jaxrelight.brdf.material import as_material
+from jaxrelight.brdf.material import Material, as_material
 from jaxrelight.brdf.texture import look_up
 from jaxrelight.files import store
+from jaxrelight.gather.gather_cloud import GatherCloud
 from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import bucket, filled_up
 from jaxrelight.scene.scene import Scene
+from jaxrelight.transport.model import SceneGeometry
 
 
 class SurfaceAlbedo:
@@ -66,6 +71,41 @@ class SurfaceAlbedo:
                 looked_up = _look_up(weight, filled_up(uv, length), filled_up(covers, length))
                 albedos[of_mesh] += albedo * np.asarray(looked_up)[: len(of_mesh)]
         return albedos
+
+
+def albedo_at_points(
+    geometry: SceneGeometry,
+    points: GatherCloud,
+    materials: Mapping[str, Material],
+    albedo: Float[Array, "g c"],
+    emission: Float[Array, "g c"],
+) -> tuple[Float[Array, "g c"], Float[Array, "g c"]]:
+    """Albedo and emission of a cloud's points with other materials, which may be traced; differentiable in them.
+
+    Args:
+        geometry: of the scene.
+        points: the cloud.
+        materials: by name, those that changed.
+        albedo: of the points before.
+        emission: of the points before.
+    """
+    surfaces = geometry.surfaces
+    corners = surfaces.faces[np.maximum(points.faces, 0)]
+    names = np.array([name or "" for name in geometry.material_of_mesh])[surfaces.mesh_of_vertex[corners[:, 0]]]
+    for name, material in materials.items():
+        mine = np.flatnonzero((names == name) & ~points.of_sky)
+        if not len(mine):
+            continue
+        uv = np.einsum("pk,pkx->px", points.barycentric[mine], surfaces.uv[corners[mine]])
+        covers = points.areas[mine] * surfaces.uv_densities(points.faces[mine])
+        place = as_array(uv, albedo.dtype), as_array(covers, albedo.dtype)
+        own = jnp.zeros((len(mine), albedo.shape[1]), albedo.dtype)
+        for component in material.components:
+            own = own + as_array(mean_albedo(component.brdf), albedo.dtype)[None] * _look_up(component.weight, *place)
+        albedo = albedo.at[mine].set(own.astype(albedo.dtype))
+        radiance = as_array(np.zeros(1) if material.emission is None else material.emission, emission.dtype)
+        emission = emission.at[mine].set(jnp.broadcast_to(radiance[None], (len(mine), emission.shape[1])))
+    return albedo, emission
 
 
 @jax.jit

@@ -172,6 +172,37 @@ def bake_and_apply(
 
 
 @jax.jit
+def bake_kept_and_apply(
+    bits: UInt8[Array, "m bytes"],
+    frames: Float[Array, "m 3 3"],
+    reflection: Reflection,
+    directions: Directions,
+    basis: Basis,
+    light: Float[Array, "d c"],
+    indices: Integer[Array, "m k n"],
+) -> Float[Array, "m k c"]:
+    """Light terms of the coefficients at given indices, used as they are made: of rows that `bake_kept` writes out.
+
+    Light is decoded from the coefficients that a row keeps, and multiplied with the whole row: nothing that is as long
+    as a row is kept, and the derivative in the reflection needs no wavelets. The kept sets are held fixed.
+    """
+    by_channel = light.T
+
+    def terms(rows, kept):
+        # Receivers b, terms k, channels c, texels d.
+        texels = jax.vmap(jax.vmap(lambda of: kept_light(basis, by_channel, of)))(kept)
+        return jnp.sum(rows * texels, axis=-1)
+
+    return _joined(_map_blocks(terms, bits, frames, reflection, directions, (indices.astype(jnp.int32),)))
+
+
+def kept_light(basis: Basis, by_channel: Float[Array, "c d"], kept: Integer[Array, " n"]) -> Float[Array, "c d"]:
+    """The texels of light of some coefficients alone; numbers beyond the last coefficient stand for none."""
+    some = by_channel.at[:, kept].get(mode="fill", fill_value=0)
+    return basis.decode(jnp.zeros_like(by_channel).at[:, kept].set(some, mode="drop"))
+
+
+@jax.jit
 def bake_and_transpose(
     bits: UInt8[Array, "m bytes"],
     frames: Float[Array, "m 3 3"],

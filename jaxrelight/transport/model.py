@@ -32,7 +32,7 @@ from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.lights import Lights
 from jaxrelight.lights.local import Light
 from jaxrelight.methods import Indirect, Transport
-from jaxrelight.numerics.arrays import as_array
+from jaxrelight.numerics.arrays import as_array, is_traced
 from jaxrelight.operators.contract import Basis, Operator, parts_of
 from jaxrelight.operators.sharded import sharded
 from jaxrelight.operators.stacked import Stacked
@@ -142,6 +142,7 @@ class Block(eqx.Module):
         dropped: energy left out of every row by channel, of direct and of bounced light; None where nothing is.
         emission: radiance that the material emits; of its first block alone, None for the others.
         emitted: light terms of what other surfaces emit, by way of bounces; None where there is none.
+        remade: whether its rows are of another material than those of the store, so that its light terms are, too.
     """
 
     material: str = eqx.field(static=True)
@@ -155,6 +156,7 @@ class Block(eqx.Module):
     dropped: Float[Array, "r c"] | None
     emission: Float[Array, "3"] | None = None
     emitted: Float[Array, "v k c"] | None = None
+    remade: bool = eqx.field(static=True, default=False)
 
     @property
     def groups(self) -> Int[np.ndarray, " g"]:
@@ -303,13 +305,20 @@ def frames_of(receivers: Receivers, groups: Int[np.ndarray, " g"]) -> Float[np.n
 
 
 def fixed_view(brdf: Brdf | SpatialLobes, receivers: Receivers, groups: Int[np.ndarray, " g"]) -> FixedView:
-    """The exact reflection of some groups of pixel receivers; of a spatial BRDF, each has its own."""
+    """The exact reflection of some groups of pixel receivers; of a spatial BRDF, each has its own.
+
+    Differentiable in the BRDF, which may be traced.
+    """
     assert receivers.omega_o is not None
     omega_o: Any = to_local(frames_of(receivers, groups), receivers.omega_o[groups])
     if not isinstance(brdf, SpatialLobes):
         return FixedView(brdf, omega_o)
     assert receivers.uv is not None
     assert receivers.footprint is not None
+    if is_traced(brdf):
+        uv, footprint = (as_array(of[groups], np.float32) for of in (receivers.uv, receivers.footprint))
+        own = brdf.packed().at(uv, footprint)
+        return FixedView(jax.tree.map(lambda _: None, own), as_array(omega_o), own)
     with jax.ensure_compile_time_eval():
         packed = jax.jit(SpatialLobes.packed)(brdf)
         places = zip(receivers.uv[groups], receivers.footprint[groups], strict=True)

@@ -6,8 +6,8 @@ multiplied by its textures in every pixel, so textures never ask for shading.
 """
 
 import dataclasses
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,6 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrelight.brdf.contract import Brdf
+from jaxrelight.brdf.lobes import LobeSum
+from jaxrelight.brdf.material import Material
+from jaxrelight.brdf.spatial import Minification
 from jaxrelight.brdf.texture import PixelWeight
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
@@ -30,12 +34,12 @@ from jaxrelight.lighting.adaptive.sampled_brdf import SampledBrdf, sampled
 from jaxrelight.lighting.adaptive.trials import Trials, calibrate, try_noise
 from jaxrelight.lighting.adaptive.view import AdaptiveView, Probe, make_view, scattered, taken_from
 from jaxrelight.lighting.antialiasing import samples_along
-from jaxrelight.lighting.contract import Image, Relighter, Report, behind, image_of
+from jaxrelight.lighting.contract import VISIBILITY, Image, Relighter, Report, behind, image_of
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.picture_error import Pictured, PictureError
 from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, Sample
 from jaxrelight.lighting.shadows import LightGroup, Visibility, all_visible, group_lights, trace_visibility
-from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial, VisibleSurfaces
+from jaxrelight.lighting.visible_surfaces import SurfaceComponent, SurfaceMaterial, VisibleSurfaces, surface_material
 from jaxrelight.lights.environment import Environment
 from jaxrelight.lights.environment_mipmap import EnvironmentMipmap, environment_mipmap
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
@@ -100,6 +104,28 @@ def sampled_materials(
         )
         for material in materials
     )
+
+
+def _resampled(before: SampledMaterial, material: Material, minification: Minification) -> SampledMaterial:
+    """Another material with what draws directions for it."""
+    given = surface_material(before.name, material, minification)
+    components = []
+    for number, component in enumerate(given.components):
+        brdf = component.brdf
+        old = before.components[number].sampler if number < len(before.components) else None
+        if not is_traced(brdf):
+            sampler = sampled(brdf)
+        elif isinstance(brdf, LobeSum):
+            sampler = SampledBrdf(brdf)
+        elif old is not None and type(old.brdf) is type(brdf):
+            sampler = dataclasses.replace(old, brdf=brdf)
+        else:
+            raise InputError(
+                f"material '{before.name}': directions cannot be drawn for a traced {type(brdf).__name__}; prepare the "
+                "scene with one"
+            )
+        components.append(SampledComponent(sampler, component.weight))
+    return SampledMaterial(before.name, tuple(components), given.emission)
 
 
 class AdaptiveLight(NamedTuple):
@@ -173,6 +199,28 @@ class AdaptiveRelighter(Relighter[AdaptiveView, AdaptiveLight, AdaptiveTraced]):
         shining = jnp.any(mipmap.sun.irradiance > 0, axis=1)
         sun = LightGroup(Directional(-mipmap.sun.directions, mipmap.sun.irradiance), shining)
         return AdaptiveLight(lights.environment, mipmap, (*local, sun))
+
+    def with_materials(
+        self, materials: Mapping[str, Brdf | Material], *, bounces: Literal["held", "followed"] | None = None
+    ) -> "AdaptiveRelighter":
+        """The same scene with other materials, see `Relighter.with_materials`; there are no bounces.
+
+        What draws directions for a BRDF that is traced, and is no sum of lobes, is what the one before had.
+
+        Raises:
+            InputError: also for such a one where there was none before.
+        """
+        given = self._materials_of(materials, [one.name for one in self.sampled_materials])
+        changed = tuple(
+            _resampled(one, given[one.name], self.method.minification) if one.name in given else one
+            for one in self.sampled_materials
+        )
+        return dataclasses.replace(self, sampled_materials=changed)
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Visibility, and where and how often is sampled, if that is traced before."""
+        return VISIBILITY, "the plan of samples, and where they lie"
 
     def trace(self, lit: AdaptiveLight, view: AdaptiveView, *, report: Report | None = None) -> AdaptiveTraced:
         """The plan of samples, and all shadow rays: those of samples, and towards local lights.
