@@ -231,7 +231,7 @@ def _gathered(block: Block, part: GlossyPart) -> Block:
 def _albedo_ratio(block: Block, part: GlossyPart) -> Float[Array, " c"]:
     """How much more of even light the new BRDF reflects than the old one, by channel; 0 where that reflects nothing."""
     old, new = as_array(mean_albedo(block.brdf)), as_array(mean_albedo(part.brdf))
-    return jnp.where(old > 0, new / jnp.where(old > 0, old, 1), 0).astype(jnp.float32)
+    return jnp.where(old > 0, new / jnp.where(old > 0, old, 1), 0)
 
 
 def _scaled(operator: Operator, factor: Float[Array, " c"] | None) -> Operator:
