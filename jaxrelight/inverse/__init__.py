@@ -1,1 +1,1 @@
-"""Inverse problems: what lights or materials make given pictures or measurements."""
+"""Inverse problems: which lights or materials make given pictures or measurements."""

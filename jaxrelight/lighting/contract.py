@@ -20,6 +20,7 @@ from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import averaged
 from jaxrelight.lighting.picture_error import Pictured, PictureError, joined, measured_error
 from jaxrelight.lighting.reference import ERROR_SAMPLES, Reference, Sample, kept_reference
+from jaxrelight.lighting.visible_surfaces import SurfaceMaterial
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Method, check_whole
 from jaxrelight.numerics.arrays import is_traced
@@ -111,8 +112,10 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
     traced are pytrees, too: all of them can be arguments of a jitted function.
     """
 
-    # The dials; the scene's camera; and its sensors, where they take the camera's place, else None.
+    # The dials; the materials of what is seen; the scene's camera; and its sensors, where they take the camera's place,
+    # else None.
     method: eqx.AbstractVar[Method]
+    materials: eqx.AbstractVar[tuple[SurfaceMaterial, ...]]
     camera: eqx.AbstractVar[Camera]
     sensors: eqx.AbstractVar[Sensors | None]
 
