@@ -23,8 +23,8 @@ FEW = 64
 MAX_STEPS, _TOLERANCE = 100, 1e-6
 # Of linearisations of many numbers, by how much of the sum of squares before the first a further one has to lower it.
 _LEAST_FALL = 1e-6
-# Of conjugate gradients: relative residual, and iterations.
-_CG_TOLERANCE, _CG_STEPS = 1e-5, 500
+# Of conjugate gradients: tolerance, and iterations.
+_CG_TOLERANCE, _CG_STEPS = 1e-6, 500
 # Random signs that estimate a diagonal.
 _PROBES = 16
 
@@ -215,21 +215,24 @@ def _step(problem: Problem, at: Coordinates, damping: Float[Array, ""]) -> Coord
     # What no pixel tells stays where it is.
     scale = jax.tree.map(lambda d: d * damping + 1e-7 * largest, diagonal)
 
+    # Numbers of order 1, as the tolerance counts them.
+    unit = jnp.maximum(largest, jnp.finfo(largest.dtype).tiny)
+
     def normal(x):
         smooth = rough_pull(rough_push(x))[0]
-        return _plus(_plus(pull(push(x)), smooth), jax.tree.map(jnp.multiply, scale, x))
+        return jax.tree.map(lambda p, q, s, y: (p + q + s * y) / unit, pull(push(x)), smooth, scale, x)
 
     def divided(x):
-        return jax.tree.map(lambda one, d: one / (d + 4 * problem.smoothness + 1e-4 * largest), x, diagonal)
+        return jax.tree.map(lambda y, d: y / ((d + 4 * problem.smoothness) / unit + 1e-4), x, diagonal)
 
     gradient = _plus(pull(misfit), rough_pull(rough)[0])
     structure = jax.eval_shape(lambda: at)
     positive = lx.positive_semidefinite_tag
-    solver = lx.CG(rtol=_CG_TOLERANCE, atol=0.0, max_steps=_CG_STEPS)
+    solver = lx.CG(rtol=_CG_TOLERANCE, atol=_CG_TOLERANCE, max_steps=_CG_STEPS)
     preconditioner = lx.FunctionLinearOperator(divided, structure, positive)
     solution = lx.linear_solve(
         lx.FunctionLinearOperator(normal, structure, positive),
-        jax.tree.map(jnp.negative, gradient),
+        jax.tree.map(lambda of: -of / unit, gradient),
         solver,
         options={"preconditioner": preconditioner},
         throw=False,

@@ -83,7 +83,7 @@ def materials(
     deviations: Sequence[Picture | float] | None = None,
     saturation: float | None = None,
     hold_out: float = 0.1,
-    smoothness: float = 1e-3,
+    smoothness: float = 1e-4,
     bounces: Literal["held", "followed"] | None = None,
     seed: int = 0,
 ) -> InverseMaterials:
