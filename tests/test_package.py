@@ -37,6 +37,7 @@ FOLDERS = (
     "scene",
     "precomputation",
     "lighting",
+    "inverse",
     "gradients",
     "commands",
     "cli",

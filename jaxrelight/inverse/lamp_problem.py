@@ -56,7 +56,9 @@ def all_lights_of(kind: LampKind, placements: Placement) -> LightGroup:
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), every)
 
 
-def traced_bits(response: LampResponse, kinds: tuple[LampKind, ...], placements: tuple[Placement, ...]):
+def traced_bits(
+    response: LampResponse, kinds: tuple[LampKind, ...], placements: tuple[Placement, ...]
+) -> tuple[Any, ...]:
     """Shadow rays towards all lamps, on the host."""
     every = []
     for kind, own in zip(kinds, placements, strict=True):

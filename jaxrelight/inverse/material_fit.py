@@ -11,7 +11,7 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from jaxrelight.inverse.material_observations import Observations
+from jaxrelight.inverse.observations import Observations
 from jaxrelight.inverse.material_unknowns import Coordinates, Unknowns
 from jaxrelight.lighting.contract import Relighter
 

@@ -1,4 +1,4 @@
-"""Pictures of materials as a solver takes them: which pixels count, what they show, and how exact they are."""
+"""Pictures as a solver takes them: which pixels count, what they show, and how exact they are."""
 
 from collections.abc import Sequence
 
