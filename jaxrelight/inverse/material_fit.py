@@ -11,8 +11,8 @@ import optimistix as optx
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from jaxrelight.inverse.observations import Observations
 from jaxrelight.inverse.material_unknowns import Coordinates, Unknowns
+from jaxrelight.inverse.observations import Observations
 from jaxrelight.lighting.contract import Relighter
 
 # The key of the light's strength among the coordinates: its logarithm.

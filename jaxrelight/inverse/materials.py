@@ -17,8 +17,8 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.inverse.material_certainty import Estimate, certainty_of_few, certainty_of_many, is_ambiguous
 from jaxrelight.inverse.material_fit import FEW, LIGHT, Problem, Scene, curvature_at, rendered, search, solve_many
-from jaxrelight.inverse.observations import Picture, observe, relative_residual
 from jaxrelight.inverse.material_unknowns import Coordinates, Unknown, Unknowns, unknowns_of
+from jaxrelight.inverse.observations import Picture, observe, relative_residual
 from jaxrelight.lighting.contract import Relighter
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Indirect
