@@ -125,7 +125,7 @@ def from_cube(faces: Float[np.ndarray, "6 n n c"]) -> Float[np.ndarray, "h w c"]
     Pixels are as fine as texels where n is 256 or more, and four times as fine up to 64, so that little is spread.
     """
     resolution, channels = faces.shape[1], faces.shape[-1]
-    height = max(2 * resolution, min(8 * resolution, 512))
+    height = _height_of_cube(resolution)
     width = 2 * height
     flat, sums = faces.reshape(-1, channels).astype(float), np.zeros((height * width, channels))
     for texel, pixel, shared in overlaps(height, width, resolution):
@@ -133,6 +133,22 @@ def from_cube(faces: Float[np.ndarray, "6 n n c"]) -> Float[np.ndarray, "h w c"]
             sums[:, c] += np.bincount(pixel, shared * flat[texel, c], height * width)
     means = sums.reshape(height, width, channels) / solid_angles(height, width)[:, None, None]
     return means.astype(faces.dtype)
+
+
+def _height_of_cube(resolution: int) -> int:
+    return max(2 * resolution, min(8 * resolution, 512))
+
+
+@functools.lru_cache(maxsize=4)
+def cube_to_latlong(resolution: int) -> tuple[SparseMatrix, int]:
+    """`from_cube` as a matrix from the 6×resolution² texels to the map's pixels, row by row, and the map's height."""
+    height = _height_of_cube(resolution)
+    every = list(overlaps(height, 2 * height, resolution))
+    texel, pixel, shared = (np.concatenate(of) for of in zip(*every, strict=True))
+    weight = shared / solid_angles(height, 2 * height)[pixel // (2 * height)]
+    shape = 2 * height**2, 6 * resolution**2
+    # Entries of one pixel and texel are added up.
+    return sparse_matrix(sparse.coo_array((weight, (pixel, texel)), shape=shape).tocsr()), height
 
 
 @jax.jit

@@ -151,6 +151,20 @@ def centred(lamp: Light, centre: Float[np.ndarray, "3"], sign: float = -1.0) -> 
     return dataclasses.replace(lamp, **moved)
 
 
+def brightened(lamp: Light, factor: Float[np.ndarray, "3"]) -> Light:
+    """A lamp whose light is so many times as strong, by channel.
+
+    Raises:
+        InputError: for a light that is none of the kinds of lamps.
+    """
+    if type(lamp) not in FIELDS:
+        known = ", ".join(sorted(kind.__name__.lower() for kind in FIELDS))
+        raise InputError(f"the strength of a light of type {type(lamp).__name__} cannot be unknown; lamps are {known}")
+    name = FIELDS[type(lamp)].power
+    power = np.asarray(getattr(lamp, name))
+    return dataclasses.replace(lamp, **{name: as_array((power * factor).astype(power.dtype))})
+
+
 def split_brightness(lamp: Light, free: Sequence[str]) -> tuple[Light, Float[np.ndarray, " b"]]:
     """A lamp whose brightest channel is 1, white where its colour is free or it is black; and its brightness."""
     name = FIELDS[type(lamp)].power
