@@ -6,6 +6,7 @@ from jaxrelight.command_line import run_command
 from jaxrelight.commands.demo import Demo
 from jaxrelight.commands.dials import HELP_ALL, with_dials
 from jaxrelight.commands.info import Info
+from jaxrelight.commands.inverse import Inverse, run_inverse
 from jaxrelight.commands.measure import Measure
 from jaxrelight.commands.precompute import Precompute
 from jaxrelight.commands.relight import Relight
@@ -15,8 +16,11 @@ from jaxrelight.commands.render import Render
 def main() -> None:
     """Runs `jaxrelight`."""
     arguments = sys.argv[1:]
+    if arguments[:1] == ["inverse"]:
+        run_inverse()
+        return
     commands = {"demo": Demo, "render": Render, "precompute": Precompute, "relight": Relight}
-    commands |= {"measure": Measure, "info": Info}
+    commands |= {"measure": Measure, "inverse": Inverse, "info": Info}
     for name in arguments[:1]:
         if name in ("render", "precompute", "measure"):
             commands[name] = with_dials(commands[name], arguments)

@@ -118,6 +118,15 @@ def load_lights(path: str | pathlib.Path) -> tuple[Light, ...]:
     return lights
 
 
+def load_camera(path: str | pathlib.Path) -> Camera:
+    """Reads the [camera] of a scene file, or of one that has nothing else.
+
+    Raises:
+        InputError: as `load_scene` does, or if there is none.
+    """
+    return _camera(read_toml(pathlib.Path(path), "a scene").table("camera"))
+
+
 def _camera(table: Table) -> Camera:
     values = {
         "origin": tuple(table.array("origin", (3,))),
