@@ -21,11 +21,13 @@ class Example:
         arguments: of any floating type; tests give them the type that they need.
         transpose: of the arguments and of a cotangent of the result: what the code itself has for the gradient by the
             last argument, in which the function is linear.
+        along: a direction in which nothing changes that is held fixed, where that is not so in all.
     """
 
     function: Callable[..., Any]
     arguments: tuple[Any, ...]
     transpose: Callable[..., Any] | None = None
+    along: tuple[Any, ...] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -146,7 +146,7 @@ class Spot(Punctual):
         angle = jnp.degrees(jnp.arctan2(across, along))
         width = self.cutoff - self.beam
         soft = (self.cutoff - angle) / jnp.where(width > 0, width, 1)
-        share = jnp.where(width > 0, jnp.clip(soft, 0, 1), (angle <= self.cutoff).astype(angle.dtype))
+        share = jnp.where(width > 0, safe.clamp(soft, 0, 1), (angle <= self.cutoff).astype(angle.dtype))
         return incident._replace(irradiance=incident.irradiance * share[:, None], within=share > 0)
 
 

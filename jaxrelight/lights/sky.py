@@ -147,7 +147,7 @@ def mean_radiance(
     factor = nearest.shape[0] // pixels.shape[0]
     turned = latlong.rotate(as_array(pixels), rotate_y)
     fine = jnp.repeat(jnp.repeat(turned, factor, axis=0), factor, axis=1)
-    light = fine * latlong.solid_angles(*nearest.shape)[:, None, None]
+    light = fine * jnp.asarray(latlong.solid_angles(*nearest.shape), fine.dtype)[:, None, None]
     sums = jax.ops.segment_sum(light.reshape(-1, light.shape[-1]), nearest.reshape(-1), count)
     return sums * (count / (4 * np.pi)) * scale
 

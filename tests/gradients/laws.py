@@ -62,7 +62,22 @@ class Law:
 
     def check_gradients(self) -> None:
         """Both modes against central differences, and against each other."""
-        check_derivatives(self.function, self.primals)
+        if self.example.along is None:
+            check_derivatives(self.function, self.primals)
+            return
+        along, _ = eqx.partition(of_type(self.example.along, self.dtype), is_floating)
+        cotangent = self.ordered_cotangent()
+        slopes = self.program(self.primals, along, cotangent)[1]
+        ahead, behind = (
+            self.program(jax.tree.map(lambda a, t, s=s: a + s * _STEP * t, self.primals, along), along, cotangent)[0]
+            for s in (1, -1)
+        )
+        for slope, a, b in zip(slopes, ahead, behind, strict=True):
+            true = (np.asarray(a) - np.asarray(b)) / (2 * _STEP)
+            np.testing.assert_allclose(slope, true, rtol=1e-5, atol=1e-6 * float(np.abs(true).max(initial=1)))
+        some = jax.tree.map(lambda leaf: np.sin(1 + np.arange(leaf.size)).reshape(leaf.shape), self.primals)
+        _, pushed, pulled = self.program(self.primals, some, cotangent)
+        np.testing.assert_allclose(_product(pulled, some), _product(pushed, cotangent), rtol=1e-9)
 
     def check_second_order(self) -> None:
         """Both modes of the gradient."""

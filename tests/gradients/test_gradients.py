@@ -15,6 +15,14 @@ DIFFERENTIABLE = [entry for entry in (*entries(), *of_fitting.ENTRIES) if isinst
 QUICK = ("jaxrelight.numerics.safe.norm",)
 
 
+@pytest.fixture
+def x64():
+    """Float64 in all threads: what calls back to the host does so in another one."""
+    jax.config.update("jax_enable_x64", True)
+    yield
+    jax.config.update("jax_enable_x64", False)
+
+
 def _short(entry: Entry) -> str:
     return entry.names[0].removeprefix("jaxrelight.")
 
