@@ -87,8 +87,7 @@ ENTRIES: Entries = (
         named("jaxrelight.basis.latlong", "AreaResampling.apply"),
         differentiable_in="pixels; linear",
         example=lambda: Example(
-            lambda resampling, pixels: resampling.apply(pixels),
-            (latlong.area_resampling(4, 8, 2), numbers(4, 8, 3)),
+            lambda pixels: latlong.area_resampling(4, 8, 2, pixels.dtype).apply(pixels), (numbers(4, 8, 3),)
         ),
         orders=2,
     ),

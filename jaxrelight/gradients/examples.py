@@ -11,7 +11,6 @@ from jaxrelight.brdf import lobes
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.gradients.entry import Singular, Slope
-from jaxrelight.operators.sparse_rows import SparseRows, sparse_rows
 
 # Unit vectors above the surface, at no special place.
 OMEGA_I, OMEGA_O = np.array([0.36, -0.48, 0.8]), np.array([-0.48, -0.36, 0.8])
@@ -65,10 +64,3 @@ def lobe_maps() -> SpatialLobes:
 def texture() -> Texture:
     """An image of 4×4 texels with all coarser levels."""
     return Texture(numbers(4, 4, 3).astype(np.float32)).minified()  # pyright: ignore[reportArgumentType]
-
-
-@functools.cache
-def rows() -> SparseRows:
-    """Six rows of three channels over eight columns, of which each keeps three."""
-    indices = np.stack([np.random.default_rng(row).permutation(8)[:3] for row in range(6)]).astype(np.int32)
-    return sparse_rows(np.sort(indices, axis=1), numbers(6, 3, 3).astype(np.float32), 8)

@@ -134,9 +134,9 @@ class _Product(Multilinear):
     def product_many(self, number: int, fixed: PyTree, *arguments: PyTree) -> PyTree | None:
         """Many lights share the gathers."""
         values, lights = arguments
-        n, _, c = lights.shape
-        if number != 1 or n < _MANY:
+        if number != 1 or len(lights) < _MANY:
             return None
+        n, _, c = lights.shape
         # Each column is one run of numbers to gather: of c channels and n lights.
         side_by_side = jnp.transpose(lights, (1, 2, 0)).reshape(self.columns, c * n)
         rows = jax.tree.map(lambda x: x.reshape(-1, x.shape[-1]), _blocks_of(fixed, values))
