@@ -554,7 +554,9 @@ def _split(texels, basis):
 
 def _view_sides(reflection: Reflection) -> Reflection:
     """What the view needs of a reflection: of a fixed view only that there is one."""
-    return FixedView(reflection.brdf, jnp.zeros(3)) if isinstance(reflection, FixedView) else reflection
+    if not isinstance(reflection, FixedView):
+        return reflection
+    return FixedView(reflection.brdf, jnp.zeros(3, reflection.omega_o.dtype))
 
 
 @functools.partial(jax.jit, static_argnames="bound")
