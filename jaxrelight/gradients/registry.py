@@ -5,7 +5,7 @@ import importlib
 from jaxrelight.gradients.entry import Entries
 
 # Files of this folder, each with the entries of the folder that it is named after.
-FOLDERS = ("numerics", "basis", "brdf", "brdf_surfaces", "lights", "operators", "geometry", "host_folders")
+FOLDERS = ("numerics", "basis", "brdf", "brdf_surfaces", "lights", "operators", "transport", "geometry", "host_folders")
 
 
 def entries() -> Entries:
