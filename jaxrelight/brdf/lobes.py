@@ -54,6 +54,29 @@ class LobeSum(Brdf):
         return self.C[..., 0] * x + self.C[..., 1] * y + self.C[..., 2] * z
 
     @jax.jit
+    def integral(
+        self, omega_i: Float[Array, "3 t"], omega_o: Float[Array, "3"], weights: Float[Array, "b t"]
+    ) -> Float[Array, " b"]:
+        """Σ_t f(ω_t, ω_o) weights_t, as of every BRDF: all sums over directions are products of matrices.
+
+        So are their derivatives, which as sums over neighbours would take ten times as long.
+        """
+        count, (lobes, width, _) = weights.shape[1], self.C.shape
+        whole = jnp.matmul(weights, jnp.ones((count, 1), weights.dtype), precision="highest")[:, 0]
+        if self.is_constant:
+            return self.diffuse / math.pi * whole
+        along = self._in_axes(omega_i.T) * self._in_axes(omega_o)[None]
+        cosines = jnp.matmul(self.C.reshape(lobes * width, 3), along.T, precision="highest")
+        powers = safe.power(cosines, self.exponent.reshape(-1, 1))
+        if width == 1:
+            shares = jnp.matmul(powers, weights.T, precision="highest")
+        else:
+            # Lobes l, channels c, directions t.
+            by_channel = powers.reshape(lobes, width, count)
+            shares = jnp.einsum("lct,ct->lc", by_channel, weights, precision="highest")
+        return self.diffuse / math.pi * whole + jnp.sum(self.scale * shares, axis=0)
+
+    @jax.jit
     def peak(self, omega_o: Float[Array, "3"]) -> tuple[Float[Array, "l c1 3"], Float[Array, "l c1"]]:
         """Where each lobe is largest, the unit vector along Cᵀω_o (McAllister 2002 eq. 4), and the length |Cᵀω_o|.
 
@@ -68,7 +91,7 @@ class LobeSum(Brdf):
         length = jnp.where(near, jnp.sqrt(jnp.where(near, 1 - missing, 1)), safe.norm(along))
         return peak if self.turn is None else turned(peak, self.turn), length
 
-    def _in_axes(self, omega: Float[Array, "3"]) -> Float[Array, "3"]:
+    def _in_axes(self, omega: Float[Array, "*t 3"]) -> Float[Array, "*t 3"]:
         return omega if self.turn is None else turned(omega, -self.turn)
 
     @property

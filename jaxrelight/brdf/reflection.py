@@ -36,6 +36,16 @@ class Reflection(eqx.Module):
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "k c"]:
         """The factors of the outgoing direction."""
 
+    def light_terms(self, omega_i: Float[Array, "3 t"], weights: Float[Array, "k1 c t"]) -> Float[Array, "k c"]:
+        """Σ_t light_side(ω_t) weights_t: the light terms of light from many directions.
+
+        Args:
+            omega_i: local directions.
+            weights: what arrives from each; the same for all terms, or for each its own.
+        """
+        sides = jax.vmap(self.light_side, in_axes=1, out_axes=2)(omega_i)
+        return jnp.sum(sides * weights, axis=-1)
+
     @property
     def is_constant(self) -> bool:
         """Whether it is known to be the same for all directions."""
@@ -81,6 +91,11 @@ class FixedView(Reflection):
         """f(ω_i, ω_o) itself; 0 where the eye is below the surface."""
         value = self._whole.evaluate(omega_i, self.omega_o)
         return jnp.where(self.omega_o[2] <= 0, 0, value)[None]
+
+    @jax.jit
+    def light_terms(self, omega_i: Float[Array, "3 t"], weights: Float[Array, "1 c t"]) -> Float[Array, "1 c"]:
+        """What the BRDF reflects of all of it, see `Brdf.integral`."""
+        return jnp.where(self.omega_o[2] > 0, self._whole.integral(omega_i, self.omega_o, weights[0]), 0)[None]
 
     @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:

@@ -47,6 +47,16 @@ class Directions(eqx.Module):
         split = traced.reshape(*traced.shape[:-1], 6, n, s, n, s)
         return split.sum(axis=(-3, -1)).reshape(*traced.shape[:-1], 6 * n * n)
 
+    def to_rays(self, texels: Float[Array, "... d"]) -> Float[Array, "... f"]:
+        """Gives what each texel has to all that was traced within it: the transpose of `to_texels`."""
+        s = self.samples
+        if s == 1:
+            return texels
+        n = round((texels.shape[-1] // 6) ** 0.5)
+        split = texels.reshape(*texels.shape[:-1], 6, n, 1, n, 1)
+        spread = jnp.broadcast_to(split, (*texels.shape[:-1], 6, n, s, n, s))
+        return spread.reshape(*texels.shape[:-1], len(self.vectors))
+
 
 def directions_for(resolution: int, samples: int = 1, dtype: DTypeLike = jnp.float32) -> Directions:
     """Directions for a 6×resolution² cube map and samples² rays a texel."""
@@ -72,8 +82,22 @@ def _row(
     return directions.to_texels(light_side * weight[None, None])
 
 
-def _map_blocks(function, bits, frames, reflection, directions, more=(), each=lambda row: row):
-    """Applies function(rows, *more) to blocks of b receivers, rows being the stacked each(row [k, c, d]).
+def _map_terms(light, bits, frames, reflection, directions, more) -> Float[Array, "m k c"]:
+    """Light terms of receivers, each under light(more) [k1, c, f] of the rays; nothing as long as a row is kept."""
+    own, shared = eqx.partition(reflection, reflection.per_receiver)
+
+    @jax.checkpoint
+    def terms(receiver):
+        bits, frame, own, more = receiver
+        local = jnp.matmul(frame, directions.vectors.T, precision="highest")
+        weight = jnp.maximum(local[2], 0) * directions.solid_angles * unpack(bits, frame.dtype)
+        return eqx.combine(own, shared).light_terms(local, light(more) * weight[None, None])
+
+    return jax.lax.map(terms, (bits, frames, own, more), batch_size=_RECEIVER_BATCH)
+
+
+def _map_blocks(function, bits, frames, reflection, directions, more=()):
+    """Applies function(rows, *more) to blocks of b receivers, rows being the stacked [k, c, d].
 
     The rows are made by a loop of their own, since XLA would fuse, that is repeat, their making into every use.
     Results lead with the axes m/b, b.
@@ -82,7 +106,7 @@ def _map_blocks(function, bits, frames, reflection, directions, more=(), each=la
 
     def row(receiver):
         bits, frame, own = receiver
-        return each(_row(bits, frame, eqx.combine(own, shared), directions))
+        return _row(bits, frame, eqx.combine(own, shared), directions)
 
     @jax.checkpoint
     def block(arguments):
@@ -163,12 +187,8 @@ def bake_and_apply(
     light: Float[Array, "d c"],
 ) -> Float[Array, "m k c"]:
     """Light terms of exact rows, used as they are made: differentiable in reflection and light."""
-    by_channel = light.T
-
-    def terms(row):
-        return jnp.sum(row * by_channel[None], axis=-1)
-
-    return _joined(_map_blocks(lambda rows: rows, bits, frames, reflection, directions, each=terms))
+    by_channel = directions.to_rays(light.T)[None]
+    return _map_terms(lambda _: by_channel, bits, frames, reflection, directions, ())
 
 
 @jax.jit
@@ -188,12 +208,10 @@ def bake_kept_and_apply(
     """
     by_channel = light.T
 
-    def terms(rows, kept):
-        # Receivers b, terms k, channels c, texels d.
-        texels = jax.vmap(jax.vmap(lambda of: kept_light(basis, by_channel, of)))(kept)
-        return jnp.sum(rows * texels, axis=-1)
+    def kept_by_terms(kept):
+        return directions.to_rays(jax.vmap(lambda of: kept_light(basis, by_channel, of))(kept))
 
-    return _joined(_map_blocks(terms, bits, frames, reflection, directions, (indices.astype(jnp.int32),)))
+    return _map_terms(kept_by_terms, bits, frames, reflection, directions, indices.astype(jnp.int32))
 
 
 def kept_light(basis: Basis, by_channel: Float[Array, "c d"], kept: Integer[Array, " n"]) -> Float[Array, "c d"]:
