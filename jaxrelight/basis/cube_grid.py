@@ -46,12 +46,17 @@ def bilinear(direction: Float[Array, "3"], cells: int) -> tuple[Int[Array, "4"],
         cells: along an edge of the cube.
     """
     axis = jnp.argmax(jnp.abs(direction))
-    major = direction[axis]
+
+    def of_axis(*values):
+        # Indexing has a derivative that scatters, which takes several times as long.
+        return jnp.where(axis == 0, values[0], jnp.where(axis == 1, values[1], values[2]))
+
+    major = of_axis(*direction)
     x, y, z = direction / jnp.where(major == 0, 1, jnp.abs(major))
     positive = major > 0
     # Face coordinates rightwards and downwards, the inverse of `cubemap.face_plane`.
-    across = jnp.stack([jnp.where(positive, -z, z), x, jnp.where(positive, x, -x)])[axis]
-    down = jnp.stack([-y, jnp.where(positive, z, -z), -y])[axis]
+    across = of_axis(jnp.where(positive, -z, z), x, jnp.where(positive, x, -x))
+    down = of_axis(-y, jnp.where(positive, z, -z), -y)
     column, row = ((jnp.arctan(at) * (4 / np.pi) + 1) * (cells / 2) for at in (across, down))
     left, top = (jnp.clip(jnp.floor(at), 0, cells - 1) for at in (column, row))
     face = 2 * axis + jnp.where(positive, 0, 1)

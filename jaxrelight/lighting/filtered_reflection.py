@@ -97,4 +97,5 @@ def _filtered_radiance(
         radiance = at_texel(brdf, uv, footprint, "parameters", reflected) * look_up(weight, uv, footprint)
         return jnp.where(omega_o[2] > 0, radiance * scale, 0)
 
-    return others + jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
+    # What is kept for derivatives is that of one batch.
+    return others + jax.lax.map(jax.checkpoint(lambda one: shade(*one)), rows, batch_size=PIXEL_BATCH)
