@@ -147,7 +147,7 @@ def _estimates(
     parameters, estimates, undetermined = _parameters(problem), {}, []
     for key, deviation in deviations.items():
         coordinates = np.asarray(at[key], np.float64)
-        determined = deviation <= _MOST_DEVIATION
+        determined = np.asarray(deviation <= _MOST_DEVIATION)
         is_log = key == LIGHT or parameters[key].form == "log"
         if is_log:
             value = np.exp(coordinates)
@@ -157,7 +157,7 @@ def _estimates(
         else:
             value, own = np.maximum(np.asarray(parameters[key].values(coordinates)), 0), deviation
             low, high = np.maximum(value - _HALF_WIDTH * own, 0), value + _HALF_WIDTH * own
-        estimates[key] = Estimate(value, own, low, high, determined)
+        estimates[key] = Estimate(*(np.asarray(part) for part in (value, own, low, high, determined)))
         undetermined += _names(key, determined, key in parameters and parameters[key].is_texture)
     return estimates, tuple(undetermined)
 
@@ -168,7 +168,7 @@ def _names(key: str, determined: Bool[np.ndarray, "..."], is_texture: bool) -> l
     if not len(missing):
         return []
     if is_texture:
-        texels = ~determined.any(axis=-1)
+        texels = ~determined.all(axis=-1)
         return [f"{key}: {np.count_nonzero(texels):,} of {texels.size:,} texels"] if texels.any() else []
     if determined.ndim == 0 or len(missing) == determined.size:
         return [key]

@@ -237,14 +237,14 @@ def _log_ratios(name: str, C: np.ndarray) -> tuple[tuple[tuple[int, ...], ...], 
     return groups, np.stack([np.log(np.abs(C[..., group[0]] / C[..., 0])) for group in groups], axis=-1)
 
 
-def _entries(C: Float[Array, "l c1 3"], logarithms: Float[Array, "l c1 q"], groups: tuple) -> Float[Array, "l c1 3"]:
-    """C with max|C| = 1, of the signs that it starts with."""
-    columns = [jnp.zeros_like(logarithms[..., 0])] * 3
+def _entries(C: Float[Array, "l c1 3"], ratios: Float[Array, "l c1 q"], groups: tuple) -> Float[Array, "l c1 3"]:
+    """C with max|C| = 1, of the signs that it starts with and of the ratios of its entries to others."""
+    columns = [jnp.ones_like(ratios[..., 0])] * 3
     for number, group in enumerate(groups):
         for axis in group:
-            columns[axis] = logarithms[..., number]
-    logs = jnp.stack(columns, axis=-1)
-    return jnp.sign(C) * jnp.exp(logs - jnp.max(logs, axis=-1, keepdims=True))
+            columns[axis] = ratios[..., number]
+    sizes = jnp.stack(columns, axis=-1)
+    return jnp.sign(C) * sizes / jnp.max(sizes, axis=-1, keepdims=True)
 
 
 def _material(
