@@ -45,9 +45,9 @@ class Estimate:
 
     @property
     def width(self) -> Float[np.ndarray, "..."]:
-        """Half the interval's width, relative to the value."""
+        """The interval's width, relative to the value."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return (self.high - self.low) / 2 / np.abs(self.value)
+            return np.asarray((self.high - self.low) / np.abs(self.value))
 
 
 def certainty_of_few(
