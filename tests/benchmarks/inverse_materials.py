@@ -163,8 +163,9 @@ def intervals(report: Report, draws: int, folder: pathlib.Path):
     ]
     rows.append(["all", percent(covered.mean()), percent(float(np.median(width)))])
     report.text(
-        f"Eight numbers of a Lafortune lobe from one picture of {camera.width}×{camera.height} pixels, {NOISE:.0%} noise, "
-        f"from a wrong start: {draws} draws, of which {converged} converged; median {np.median(seconds):.2f} s a draw."
+        f"Eight numbers of a Lafortune lobe from one picture of {camera.width}×{camera.height} pixels, {NOISE:.0%} "
+        f"noise, from a wrong start: {draws} draws, of which {converged} converged; median "
+        f"{np.median(seconds):.2f} s a draw."
     )
     report.table(["95 % interval", "holds the truth", "median width"], rows)
 
@@ -181,14 +182,8 @@ def shadow(report: Report, quick: bool, folder: pathlib.Path):
 
     rows, columns = (8, 8) if quick else (32, 32)
     v, u = (np.mgrid[:rows, :columns] + 0.5) / rows
-    true = np.stack(
-        [
-            0.45 + 0.3 * np.sin(6.28 * u) * np.cos(6.28 * v),
-            0.4 + 0.2 * np.cos(12.57 * u),
-            0.3 + 0.2 * np.sin(6.28 * (u + v)),
-        ],
-        axis=-1,
-    )
+    red, green = 0.45 + 0.3 * np.sin(6.28 * u) * np.cos(6.28 * v), 0.4 + 0.2 * np.cos(12.57 * u)
+    true = np.stack([red, green, 0.3 + 0.2 * np.sin(6.28 * (u + v))], axis=-1)
     texture = Texture(jax.device_put(true.astype(np.float32))).minified()
     camera = jr.Camera((0.3, 2.3, 0.9), (0, 0.0, 0), fov_y=46, width=48 if quick else 128, height=36 if quick else 96)
     method = jr.Transport(resolution=8 if quick else 32)
@@ -198,10 +193,8 @@ def shadow(report: Report, quick: bool, folder: pathlib.Path):
     open_floor = dataclasses.replace(scene, parts=scene.parts[:1], materials={"paper": scene.materials["paper"]})
     bare = jr.prepare(open_floor, method, folder / "bare")
     whole = jr.prepare(scene, dataclasses.replace(method, coefficients="all"), folder / "floor")
-    white, image = (
-        {"paper": jr.Material((jr.Component(white_lambert()),))},
-        rendered(whole, {"paper": textured_lambert(texture)}),
-    )
+    white, textured = {"paper": jr.Material((jr.Component(white_lambert()),))}, {"paper": textured_lambert(texture)}
+    image = rendered(whole, textured)
     image = image * (1 + NOISE * np.random.default_rng(0).normal(size=image.shape))
     under, free = rendered(relighter, white), rendered(bare, white)
     view = relighter.view()
@@ -218,7 +211,7 @@ def shadow(report: Report, quick: bool, folder: pathlib.Path):
     )
     seconds = time.perf_counter() - began
     albedo = found.pictures[0] / np.maximum(under, 1e-6)
-    wanted = rendered(relighter, {"paper": textured_lambert(texture)}) / np.maximum(under, 1e-6)
+    wanted = rendered(relighter, textured) / np.maximum(under, 1e-6)
     open_share = (under / np.maximum(free, 1e-6)).mean(axis=-1)
     dark = on_floor & (open_share < 0.6)
     lit = on_floor & (open_share > 0.9)
@@ -226,14 +219,14 @@ def shadow(report: Report, quick: bool, folder: pathlib.Path):
     for name, chosen in (("in light", lit), ("in shadow", dark)):
         error = np.linalg.norm((albedo - wanted)[chosen]) / np.linalg.norm(wanted[chosen])
         table.append([name, f"{chosen.sum():,}", percent(float(error))])
-    off = ((albedo - wanted) / wanted).mean(axis=-1)[on_floor]
+    off = ((albedo - wanted)[on_floor] / wanted[on_floor]).mean(axis=-1)
     correlation = float(np.corrcoef(off, open_share[on_floor])[0, 1])
     report.text(
-        f"An albedo of {rows}×{columns} texels from one picture of {camera.width}×{camera.height} pixels with {NOISE:.0%} "
-        f"noise, known lights; the picture has all coefficients, the solved scene is compressed. {seconds:.1f} s with "
-        f"what is compiled; residual {percent(found.residual)}, held out {percent(found.held_out or 0.0)}; correlation of "
-        f"the albedo's relative error with the share of light that is not in shadow {correlation:+.3f}; not told: "
-        f"{', '.join(found.undetermined) or 'nothing'}."
+        f"An albedo of {rows}×{columns} texels from one picture of {camera.width}×{camera.height} pixels with "
+        f"{NOISE:.0%} noise, known lights; the picture has all coefficients, the solved scene is compressed. "
+        f"{seconds:.1f} s with what is compiled; residual {percent(found.residual)}, held out "
+        f"{percent(found.held_out or 0.0)}; correlation of the albedo's relative error with the share of light that is "
+        f"not in shadow {correlation:+.3f}; not told: {', '.join(found.undetermined) or 'nothing'}."
     )
     report.table(["albedo at pixels", "pixels", "relative error"], table)
 
