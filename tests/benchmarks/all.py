@@ -35,6 +35,7 @@ PROGRAMS = (
     "operators",
     "indirect",
     "light_moves",
+    "inverse_lamps",
     "adaptive",
     "adaptive_parts",
     "adaptive_promise",
