@@ -1,5 +1,6 @@
 """The least squares of lamps: outputs and their slopes lamp by lamp, and one solve while shadows are held fixed."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jaxrelight.inverse.lamp_unknowns import LampKind, Placement, lamp_at, place
 from jaxrelight.lighting.shadows import LightGroup
 
 # Unknowns of all kinds.
-Unknowns = tuple[Float[Array, "n p"], ...]
+Unknowns = tuple[Float[Array, "_ _"], ...]
 # Levenberg–Marquardt begins with a damping of 1, which is much for residuals of order one.
 _RESIDUAL_SCALE = 10.0
 # Relative and absolute steps, of unknowns and of the loss, at which one solve ends.
@@ -70,7 +71,7 @@ def traced_bits(
 @eqx.filter_custom_jvp
 def outputs_of(unknowns: Unknowns, problem: LampProblem) -> Float[Array, " m"]:
     """Outputs by all light. Slopes in the unknowns, with shadows held fixed, are those of each lamp by itself."""
-    return outputs_and_slopes(unknowns, problem)[0]
+    return problem.others + sum(jnp.sum(own, axis=0) for own in _lamp_by_lamp(unknowns, problem, lambda f, x: f(x)))
 
 
 @outputs_of.def_jvp
@@ -88,9 +89,23 @@ def _slopes_of_outputs(primals, tangents):
 
 def outputs_and_slopes(
     unknowns: Unknowns, problem: LampProblem
-) -> tuple[Float[Array, " m"], tuple[Float[Array, "n m p"], ...]]:
+) -> tuple[Float[Array, " m"], tuple[Float[Array, "_ m _"], ...]]:
     """Outputs, and of each kind the slopes in its lamps' unknowns."""
-    total, slopes = problem.others, []
+
+    def with_slopes(outputs, values):
+        value, push = jax.linearize(outputs, values)
+        # [p, m]
+        return value, jax.vmap(push)(jnp.eye(len(values), dtype=values.dtype)).T
+
+    every = _lamp_by_lamp(unknowns, problem, with_slopes)
+    return problem.others + sum(jnp.sum(value, axis=0) for value, _ in every), tuple(slopes for _, slopes in every)
+
+
+def _lamp_by_lamp(
+    unknowns: Unknowns, problem: LampProblem, ask: Callable[[Callable[[Array], Array], Array], Any]
+) -> list[Any]:
+    """Of each kind what is asked of its lamps, one after the other: of a lamp's outputs, and where its unknowns are."""
+    every = []
     for kind, starts, bits, own in zip(problem.kinds, problem.starts, problem.bits, unknowns, strict=True):
 
         def of_lamp(given, kind=kind):
@@ -99,14 +114,10 @@ def outputs_and_slopes(
             def outputs(values):
                 return problem.response.outputs(lights_of(kind, lamp, placed(kind, box, start, values)), seen)
 
-            value, push = jax.linearize(outputs, values)
-            # [p, m]
-            return value, jax.vmap(push)(jnp.eye(len(values), dtype=values.dtype)).T
+            return ask(outputs, values)
 
-        value, slope = jax.lax.map(of_lamp, (kind.lamps, kind.box, starts, bits, own))
-        total = total + jnp.sum(value, axis=0)
-        slopes.append(slope)
-    return total, tuple(slopes)
+        every.append(jax.lax.map(of_lamp, (kind.lamps, kind.box, starts, bits, own)))
+    return every
 
 
 @eqx.filter_jit
@@ -140,7 +151,7 @@ def loss_at(problem: LampProblem, unknowns: Unknowns) -> Float[Array, ""]:
 
 
 @eqx.filter_jit
-def lamp_outputs(problem: LampProblem) -> tuple[Float[Array, "n m b"], ...]:
+def lamp_outputs(problem: LampProblem) -> tuple[Float[Array, "_ m _"], ...]:
     """What each lamp gives where it starts, by a brightness of 1: of all channels, or of each where those are free."""
     every = []
     for kind, starts, bits in zip(problem.kinds, problem.starts, problem.bits, strict=True):
@@ -160,7 +171,7 @@ def lamp_outputs(problem: LampProblem) -> tuple[Float[Array, "n m b"], ...]:
 @eqx.filter_jit
 def sensitivities(
     problem: LampProblem, unknowns: Unknowns, centre: Float[Array, "3"]
-) -> tuple[Float[Array, "r p"], tuple[Float[Array, "n q"], ...], tuple[Float[Array, "n q p"], ...]]:
+) -> tuple[Float[Array, "r p"], tuple[Float[Array, "_ _"], ...], tuple[Float[Array, "_ _ _"], ...]]:
     """What uncertainty is told from.
 
     Returns:

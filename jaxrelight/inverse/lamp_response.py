@@ -91,7 +91,7 @@ def make_response(relighter: Relighter, view: Any) -> LampResponse:
         case IndirectRelighter():
             rows, bounced = None, None
             if of_sensors and view.samples.covered.size <= _MAX_ROWS:
-                rows = rows_of_sensors(relighter, view)
+                rows = rows_of_sensors(relighter, view, relighter.precomputed.cloud.albedo)
             else:
                 bounced = relighter, view
             shown, cloud = view.samples, relighter.points
@@ -116,16 +116,24 @@ def passed_on(
     relighter: IndirectRelighter, view: IndirectView, irradiance: Float[Array, "g c"], is_of_sensors: bool
 ) -> Float[Array, " m"]:
     """What outputs get of light that arrives at the cloud, over all bounces; without what surfaces emit."""
-    light = relighter.precomputed.cloud.albedo / np.pi * irradiance
-    gathered, own = (relighter.final_gather(one, view) for one in (relighter.add_bounces(light), jnp.zeros_like(light)))
-    return _outputs(gathered - own, is_of_sensors)
+    light = relighter.add_bounces(relighter.precomputed.cloud.albedo / np.pi * irradiance)
+    # Gathering is linear but for emission, which slopes do not have.
+    _, gathered = jax.jvp(lambda light: relighter.final_gather(light, view), (light,), (light,))
+    return _outputs(gathered, is_of_sensors)
 
 
 @eqx.filter_jit
-def rows_of_sensors(relighter: IndirectRelighter, view: IndirectView) -> Float[Array, "m g c"]:
-    """Lux of each point of sensors by the irradiance of each of the cloud's points: one adjoint for each."""
-    none = jnp.zeros_like(relighter.precomputed.cloud.albedo)
-    value, pull = jax.vjp(lambda irradiance: passed_on(relighter, view, irradiance, True), none)
+def rows_of_sensors(
+    relighter: IndirectRelighter, view: IndirectView, irradiance: Float[Array, "g c"]
+) -> Float[Array, "m g c"]:
+    """Lux of each point of sensors by the irradiance of each of the cloud's points: one adjoint for each.
+
+    Args:
+        relighter: at sensors.
+        view: of them.
+        irradiance: any, of the right shape: an argument, as the compiler would work out all that follows from zeros.
+    """
+    value, pull = jax.vjp(lambda irradiance: passed_on(relighter, view, irradiance, True), irradiance)
     return jax.lax.map(lambda one: pull(one)[0], jnp.eye(len(value), dtype=value.dtype))
 
 
