@@ -233,7 +233,9 @@ def _kinds(
     for what, numbers in (("free", asked), ("box", boxes)):
         for number in numbers:
             if not (isinstance(number, int) and 0 <= number < len(given.local)):
-                raise InputError(f"{what}: there is no lamp {number!r}; there are 0 to {len(given.local) - 1}")
+                raise InputError(
+                    f"{what}: there is no lamp of number {number!r}; the first is 0, the last {len(given.local) - 1}"
+                )
     groups: dict[Any, list[int]] = {}
     for number in sorted(asked):
         lamp = given.local[number]

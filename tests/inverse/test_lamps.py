@@ -197,7 +197,7 @@ def test_colour_and_cone_of_a_spot_follow_from_a_picture(tmp_path):
         ({"s0": LuxTarget(mean=1.0)}, {"free": ["colours"]}, "'colours' cannot be free; known are"),
         ({"s0": LuxTarget(mean=1.0)}, {"free": ["aim"]}, "lamp 1 is a point, which has no aim to be free"),
         ({"s0": LuxTarget(mean=1.0)}, {"free": []}, "nothing of any lamp is free"),
-        ({"s0": LuxTarget(mean=1.0)}, {"free": {3: ["intensity"]}}, "free: there is no lamp 3"),
+        ({"s0": LuxTarget(mean=1.0)}, {"free": {3: ["intensity"]}}, "free: there is no lamp of number 3"),
         ({"s0": LuxTarget(mean=1.0)}, {"lights": []}, "there is no lamp to solve for"),
         ({"s0": LuxTarget(mean=1.0)}, {"lights": jr.even_sky(1.0)}, "of which nothing can be free"),
         ({"s0": LuxTarget(mean=1.0)}, {"free": ["position"], "box": [[0, 0, 0], [-1, 1, 1]]}, "the box of lamp 1"),
