@@ -91,7 +91,7 @@ def make_response(relighter: Relighter, view: Any) -> LampResponse:
         case IndirectRelighter():
             rows, bounced = None, None
             if of_sensors and view.samples.covered.size <= _MAX_ROWS:
-                rows = rows_of_sensors(relighter, view, relighter.precomputed.cloud.albedo)
+                rows = rows_of_sensors(relighter, view)
             else:
                 bounced = relighter, view
             shown, cloud = view.samples, relighter.points
@@ -122,19 +122,31 @@ def passed_on(
     return _outputs(gathered, is_of_sensors)
 
 
-@eqx.filter_jit
-def rows_of_sensors(
-    relighter: IndirectRelighter, view: IndirectView, irradiance: Float[Array, "g c"]
-) -> Float[Array, "m g c"]:
-    """Lux of each point of sensors by the irradiance of each of the cloud's points: one adjoint for each.
+def rows_of_sensors(relighter: IndirectRelighter, view: IndirectView) -> Float[Array, "m g c"]:
+    """Lux of each point of sensors by the irradiance of each of the cloud's points: adjoints of all that follows."""
+    method, albedo = relighter.method, relighter.precomputed.cloud.albedo
+    gathered = rows = _gather_adjoint(relighter, view, albedo)
+    between = min(method.bounces - 1, 1) if method.photons else method.bounces - 1
+    for _ in range(between):
+        rows = gathered + _bounce_adjoint(relighter, albedo, rows)
+    return rows * (albedo / np.pi)[None]
 
-    Args:
-        relighter: at sensors.
-        view: of them.
-        irradiance: any, of the right shape: an argument, as the compiler would work out all that follows from zeros.
-    """
-    value, pull = jax.vjp(lambda irradiance: passed_on(relighter, view, irradiance, True), irradiance)
+
+# In both, an array of the cloud's shape is an argument: the compiler would work out all that follows from zeros.
+@eqx.filter_jit
+def _gather_adjoint(
+    relighter: IndirectRelighter, view: IndirectView, light: Float[Array, "g c"]
+) -> Float[Array, "m g c"]:
+    value, pull = jax.vjp(lambda light: _outputs(relighter.final_gather(light, view), True), light)
     return jax.lax.map(lambda one: pull(one)[0], jnp.eye(len(value), dtype=value.dtype))
+
+
+@eqx.filter_jit
+def _bounce_adjoint(
+    relighter: IndirectRelighter, light: Float[Array, "g c"], rows: Float[Array, "m g c"]
+) -> Float[Array, "m g c"]:
+    _, pull = jax.vjp(relighter.reflected_once, light)
+    return jax.lax.map(lambda row: pull(row)[0], rows)
 
 
 def _outputs(radiance: Float[Array, "h w 3"], is_of_sensors: bool) -> Float[Array, " m"]:

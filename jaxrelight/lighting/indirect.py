@@ -333,6 +333,19 @@ class IndirectRelighter(Relighter[IndirectView, IndirectLight, Visibility]):
             total = _bounced(light, reflected, cloud.between, self._encoded(total), cloud.slot_of)
         return total
 
+    def reflected_once(self, light: Float[Array, "g c"]) -> Float[Array, "g c"]:
+        """M g: what the cloud's points reflect of light of the cloud; of one bounce, or by photons of all. Linear.
+
+        Raises:
+            InputError: where the store is of one bounce, whose points get nothing from each other.
+        """
+        cloud = self.precomputed.cloud
+        if cloud.between is None:
+            raise InputError(
+                f"{self.precomputed.stored.folder}: precomputed for one bounce; nothing is between surfaces"
+            )
+        return _bounced(jnp.zeros_like(light), cloud.albedo, cloud.between, self._encoded(light), cloud.slot_of)
+
     def final_gather(
         self, light: Float[Array, "g c"], view: IndirectView, by: Literal["all", "diffuse", "glossy"] = "all"
     ) -> Float[Array, "h w c"]:
