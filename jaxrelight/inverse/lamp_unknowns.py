@@ -193,7 +193,8 @@ def placement_of(lamp: Light, brightness: Float[np.ndarray, " b"]) -> Placement:
     length = np.linalg.norm(axis)
     cutoff = float(getattr(lamp, "cutoff", 0.0)) if fields.has_cone else 0.0
     beam = float(getattr(lamp, "beam", 0.0)) / cutoff if cutoff else 0.0
-    return Placement(brightness, position, axis / (length if length > 0 else 1), np.asarray(cutoff), np.asarray(beam))
+    values: Any = brightness, position, axis / (length if length > 0 else 1), np.asarray(cutoff), np.asarray(beam)
+    return Placement(*values)
 
 
 def lamp_at(lamp: Any, free: tuple[str, ...], placement: Placement) -> Light:
@@ -208,14 +209,14 @@ def lamp_at(lamp: Any, free: tuple[str, ...], placement: Placement) -> Light:
     power = getattr(lamp, fields.power)
     factor = jnp.expand_dims(placement.brightness, tuple(range(power.ndim - 1)))
     changed: dict[str, Any] = {fields.power: (power * factor).astype(power.dtype)}
-    position = None if fields.position is None else jnp.asarray(getattr(lamp, fields.position), power.dtype)
+    at = fields.position or ""
     if "position" in free:
-        assert fields.position is not None
-        changed[fields.position] = placement.position.astype(power.dtype)
+        changed[at] = placement.position.astype(power.dtype)
     if "aim" in free:
         if fields.target is not None:
+            position = jnp.asarray(getattr(lamp, at), power.dtype)
             distance = safe.norm(jnp.asarray(getattr(lamp, fields.target), power.dtype) - position)
-            changed[fields.target] = changed.get(fields.position, position) + distance * placement.axis
+            changed[fields.target] = changed.get(at, position) + distance * placement.axis
         else:
             changed[fields.direction or ""] = placement.axis
     cutoff = placement.cutoff.astype(power.dtype)

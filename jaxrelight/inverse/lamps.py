@@ -237,7 +237,8 @@ def _displaced(kind: LampKind, given: Placement, random: np.random.Generator) ->
     cutoff = given.cutoff * np.exp(_CONE_SPREAD * random.normal(size=count)) if "cutoff" in kind.free else given.cutoff
     beam = random.uniform(0.1, 0.9, count) if "beam" in kind.free else given.beam
     cutoff = np.clip(cutoff, *CUTOFFS) if "cutoff" in kind.free else cutoff
-    return Placement(given.brightness, position, axis, cutoff, beam)
+    values: Any = given.brightness, position, axis, cutoff, beam
+    return Placement(*values)
 
 
 def _lamps_in_world(problem: LampProblem, given: Lights, centre: Float[np.ndarray, "3"]) -> tuple[Light, ...]:
