@@ -59,7 +59,7 @@ HELD_FIXED = (
     "environment, emission, materials and geometry",
 )
 # A round moves unknowns by no more than this, and tries these shares of it.
-_MAX_MOVE, _SHARES = 1.5, (1.0, 0.5, 0.25, 0.1)
+_MAX_MOVE, _SHARES = 1.5, (1.0, 0.5, 0.2, 0.06, 0.02)
 # Steps of Levenberg–Marquardt in a round. Rounds end when they lower the loss by less than this share, or at this loss.
 _STEPS, _LEAST_GAIN, _SOLVED = 12, 1e-3, 1e-11
 # By which starts differ from the lamps that are given, beside their places.
