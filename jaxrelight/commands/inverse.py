@@ -5,15 +5,16 @@ import sys
 
 from jaxrelight.command_line import run_command
 from jaxrelight.commands.dials import HELP_ALL, with_dials
+from jaxrelight.commands.inverse_lamps import InverseLampsCommand
 from jaxrelight.commands.inverse_light import InverseLightCommand
 from jaxrelight.errors import InputError
 
-COMMANDS: dict[str, type] = {"light": InverseLightCommand}
+COMMANDS: dict[str, type] = {"light": InverseLightCommand, "lamps": InverseLampsCommand}
 
 
 @dataclasses.dataclass(frozen=True)
 class Inverse:
-    """Solve inverse problems: the light of pictures; `jaxrelight inverse --help` says more."""
+    """Solve inverse problems: the light of pictures, or lamps that meet targets; `jaxrelight inverse --help` says more."""
 
     def run(self) -> None:
         """Never called: `run_inverse` takes the rest of the command line.
