@@ -14,7 +14,7 @@ COMMANDS: dict[str, type] = {"light": InverseLightCommand, "lamps": InverseLamps
 
 @dataclasses.dataclass(frozen=True)
 class Inverse:
-    """Solve inverse problems: the light of pictures, or lamps that meet targets; `jaxrelight inverse --help` says more."""
+    """Solve for the light of pictures, or for lamps that meet targets; `jaxrelight inverse --help` says more."""
 
     def run(self) -> None:
         """Never called: `run_inverse` takes the rest of the command line.
