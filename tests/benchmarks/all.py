@@ -36,6 +36,7 @@ PROGRAMS = (
     "indirect",
     "light_moves",
     "inverse_lamps",
+    "inverse_light",
     "adaptive",
     "adaptive_parts",
     "adaptive_promise",
