@@ -52,7 +52,8 @@ class Entry:
     """What is promised of the derivatives of a function, in forward and reverse mode.
 
     Args:
-        names: full names of the functions or methods; those after the first are the same function in another form.
+        names: full names of the functions or methods; those after the first are forms of it, or parts that its example
+            goes through.
         differentiable_in: its arguments, in words.
         example: a function and arguments to test it by.
         orders: 1, or 2 where the function is smooth enough for second derivatives.

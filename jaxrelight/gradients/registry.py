@@ -4,8 +4,11 @@ import importlib
 
 from jaxrelight.gradients.entry import Entries
 
-# Files of this folder, each with the entries of the folder that it is named after.
-FOLDERS = ("numerics", "basis", "brdf", "brdf_surfaces", "lights", "operators", "transport", "geometry", "host_folders")
+# Files of this folder that hold entries.
+FOLDERS = (
+    *("numerics", "basis", "brdf", "brdf_surfaces", "lights", "operators", "transport", "lighting"),
+    *("relighting", "geometry", "host_folders"),
+)
 
 
 def entries() -> Entries:
