@@ -19,6 +19,7 @@ from jaxrelight.lighting.filtered_lobes import lobe_radiance
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lights.prefiltered import PrefilteredMaps
 from jaxrelight.numerics.arrays import is_traced
+from jaxrelight.numerics.few_parameters import of_few_parameters
 from jaxrelight.numerics.numbers import Number
 from jaxrelight.transport.filtered_visibility import FilteredVisibility
 from jaxrelight.transport.model import FilteredLobes
@@ -82,20 +83,25 @@ def _filtered_radiance(
     others: Float[Array, "p c"],
     narrower: int,
 ) -> Float[Array, "p c"]:
-    def light(direction, exponent):
-        return maps.look_up(direction, exponent, rotate_y)
+    def reflect(lobes, given):
+        (frame, omega_o, receivers, weights, traced), held, maps, rotate_y = given
 
-    def shade(frame, omega_o, uv, footprint, receivers, weights, traced):
+        def light(direction, exponent):
+            return maps.look_up(direction, exponent, rotate_y)
+
         def visibility(direction, exponent):
             assert held is not None
             return held.share(receivers, weights, direction, exponent)
 
-        def reflected(lobes):
-            seen = visibility if traced is None else traced
-            return lobe_radiance(lobes, omega_o, frame, light, seen, narrower=narrower)
+        seen = visibility if traced is None else traced
+        return lobe_radiance(lobes, omega_o, frame, light, seen, narrower=narrower)
 
-        radiance = at_texel(brdf, uv, footprint, "parameters", reflected) * look_up(weight, uv, footprint)
-        return jnp.where(omega_o[2] > 0, radiance * scale, 0)
+    # Pixels share the numbers of one BRDF, but not those of a map of them.
+    of_lobes = reflect if isinstance(brdf, PackedLobes) else of_few_parameters(reflect)
 
-    # What is kept for derivatives is that of one batch.
-    return others + jax.lax.map(jax.checkpoint(lambda one: shade(*one)), rows, batch_size=PIXEL_BATCH)
+    def shade(frame, omega_o, uv, footprint, receivers, weights, traced):
+        given = (frame, omega_o, receivers, weights, traced), held, maps, rotate_y
+        reflected = at_texel(brdf, uv, footprint, "parameters", lambda lobes: of_lobes(lobes, given))
+        return jnp.where(omega_o[2] > 0, reflected * look_up(weight, uv, footprint) * scale, 0)
+
+    return others + jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
