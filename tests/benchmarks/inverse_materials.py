@@ -108,14 +108,14 @@ def cost_of(way: str, size: int, resolution: int, folder: pathlib.Path):
 # A small scene
 
 
-def ball_over_floor(gloss, paper, camera):
-    """A ball over a floor, under a sky and a lamp."""
+def ball_over_floor(gloss, paper, camera, lamp=1.0):
+    """A ball over a floor, under a sky and a lamp of some strength."""
     import jaxrelight as jr
     from tests import scenes
 
     sky = jr.environment((0.2 + np.random.default_rng(0).gamma(0.4, size=(16, 32, 3))).astype(np.float32))
-    lamp = jr.point([1.0, 2.0, 1.0], [9.0, 8.0, 7.0])
-    return scenes.ball_over_floor(gloss, camera, [sky, lamp], paper=paper, quads=(8, 12))
+    light = jr.point([1.0, 2.0, 1.0], lamp * np.array([9.0, 8.0, 7.0]))
+    return scenes.ball_over_floor(gloss, camera, [sky, light], paper=paper, quads=(8, 12))
 
 
 def rendered(relighter, materials) -> Float[np.ndarray, "h w 3"]:
@@ -188,7 +188,7 @@ def shadow(report: Report, quick: bool, folder: pathlib.Path):
     camera = jr.Camera((0.3, 2.3, 0.9), (0, 0.0, 0), fov_y=46, width=48 if quick else 128, height=36 if quick else 96)
     method = jr.Transport(resolution=8 if quick else 32)
     flat = textured_lambert(Texture(jax.device_put(np.full((rows, columns, 3), 0.5, np.float32))))
-    scene = ball_over_floor(jr.lambert(0.4), flat, camera)
+    scene = ball_over_floor(jr.lambert(0.4), flat, camera, lamp=4.0)
     relighter = jr.prepare(scene, method, folder / "floor")
     open_floor = dataclasses.replace(scene, parts=scene.parts[:1], materials={"paper": scene.materials["paper"]})
     bare = jr.prepare(open_floor, method, folder / "bare")
