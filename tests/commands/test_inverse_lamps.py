@@ -11,6 +11,7 @@ from jaxrelight.command_line import run_command
 from jaxrelight.commands.inverse_lamps import InverseLampsCommand
 from jaxrelight.scene.light_text import lights_text
 from tests.commands.running import refusal_of, run, summary_of
+from tests.commands.summary_keys import KEYS, keys_of
 from tests.commands.test_indirect import CAMERA, LAMP, MATERIALS, MESHES
 
 SENSORS = (
@@ -39,6 +40,7 @@ def _folder(tmp_path, monkeypatch):
 def test_lamps_are_written_that_meet_the_targets():
     how = "--lighting", "transport"
     told = summary_of(solve("lamp.toml", "targets.toml", "-o", "found.toml", "--report", "report", *how, "--json"))
+    assert keys_of(told) == KEYS["inverse lamps"]
     (fit,) = told["targets"]
     assert (fit["what"], fit["target"]) == ("desk: mean", 900)
     assert fit["found"] == pytest.approx(900, rel=1e-4)
