@@ -45,7 +45,8 @@ KEYS = {
     "measure": _lit("indirect") | INDIRECT | {"table", "lights", "leaves_out"}
     | _of_group("seconds", "measure", "write") | _of_group("sensors.*", "points", "mean", "min", "max", "uniformity"),
     "inverse lamps": _lit("transport") | (TRANSPORT - {"bytes.environment"}) | {"lamps", "targets", "unknowns"}
-    | {"report", "bytes.lights", "residual", "starts", "undetermined", "held_fixed"} | _of_group("seconds", "solve", "report"),
+    | {"report", "bytes.lights", "residual", "starts", "undetermined", "held_fixed"}
+    | _of_group("seconds", "solve", "report"),
     "demo": _lit("transport") | TRANSPORT - {"seconds.load"} | SHOWN,
     "store": _lit("transport")
     | STORE
