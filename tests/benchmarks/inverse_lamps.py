@@ -14,7 +14,7 @@ from tests.benchmarks.measuring import Report, answer, percent, run_child, share
 
 MODULE = "tests.benchmarks.inverse_lamps"
 # Places of sensors, which look up, 0.85 m above the floor of the hall.
-ACROSS, ALONG, HEIGHT = (-3.0, -1.5, 0.0, 1.5), (1.0, 2.2, 3.4), 0.85
+ACROSS, ALONG, HEIGHT = (-3.0, -1.5, 0.0, 1.5), (1.7, 2.6, 3.5), 0.85
 # Hidden lamps: place, intensity, and of spots what they look at and their cutoff.
 HIDDEN = [
     ([-2.8, 2.4, 0.1], 14.0, None, None),

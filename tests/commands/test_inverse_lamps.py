@@ -7,8 +7,6 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import load_lights, read_image
-from jaxrelight.command_line import run_command
-from jaxrelight.commands.inverse_lamps import InverseLampsCommand
 from jaxrelight.scene.light_text import lights_text
 from tests.commands.running import refusal_of, run, summary_of
 from tests.commands.summary_keys import KEYS, keys_of
@@ -22,10 +20,7 @@ TARGETS = 'starts = 1\n[[target]]\nsensor = "desk"\nmean = 900\n'
 
 
 def solve(*arguments: str) -> tuple[int, str, str]:
-    def main() -> None:
-        run_command("jaxrelight inverse", "", {"lamps": InverseLampsCommand}, "")
-
-    return run("lamps", *arguments, main=main)
+    return run("inverse", "lamps", *arguments)
 
 
 @pytest.fixture(autouse=True)
