@@ -1,18 +1,15 @@
 """Every public function that takes or returns arrays has one entry, and every entry is of such a function."""
 
 import collections
+import importlib.util
 
 from fitting import gradients as of_fitting
 from jaxrelight.gradients.registry import entries
-from tests.gradients.public_functions import holding_arrays, modules, parsed, public_functions
+from tests.gradients.public_functions import ROOT, holding_arrays, modules, parsed, public_functions
 
 ALL = (*entries(), *of_fitting.ENTRIES)
 # Folders whose functions have no entries yet.
-_FOLDERS = (
-    *("brdf", "lights", "operators", "transport", "gather", "lighting", "images", "geometry", "files"),
-    *("scene", "precomputation", "commands"),
-)
-NOT_YET = ("fitting", *(f"jaxrelight.{folder}" for folder in _FOLDERS))
+NOT_YET = ("jaxrelight.inverse",)
 
 
 def test_every_function_of_arrays_has_an_entry():
@@ -58,3 +55,14 @@ def test_functions_of_arrays_are_found_through_names_fields_and_bases():
     assert {"m.Numbers", "m.Holder", "m.Base"} < holding_arrays({"m": module}, {"jaxtyping.Array", "numpy.ndarray"})
     found = {one.name: one.jax for one in public_functions({"m": module})}
     assert found == {"m.Holder.other": False, "m.takes": True, "m.gives": True, "m.through_base": False}
+
+
+def test_the_guide_has_all_entries():
+    """`gradients.md` is what `write_gradients.py` makes of the registry."""
+    path = ROOT / "notebooks" / "guide" / "write_gradients.py"
+    spec = importlib.util.spec_from_file_location("write_gradients", path)
+    assert spec is not None
+    assert spec.loader is not None
+    writer = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(writer)
+    assert writer.PAGE.read_text(encoding="utf-8") == writer.page(), "run python notebooks/guide/write_gradients.py"
