@@ -95,7 +95,7 @@ class FixedView(Reflection):
     @jax.jit
     def light_terms(self, omega_i: Float[Array, "3 t"], weights: Float[Array, "1 c t"]) -> Float[Array, "1 c"]:
         """What the BRDF reflects of all of it, see `Brdf.integral`."""
-        return jnp.where(self.omega_o[2] > 0, self._whole.integral(omega_i, self.omega_o, weights[0]), 0)[None]
+        return jnp.where(self.omega_o[2] <= 0, 0, self._whole.integral(omega_i, self.omega_o, weights[0]))[None]
 
     @jax.jit
     def view_side(self, omega_o: Float[Array, "3"]) -> Float[Array, "1 1"]:

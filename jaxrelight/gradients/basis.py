@@ -124,6 +124,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.basis.cubemap", "face_plane directions solid_angles texel_of"),
             *named("jaxrelight.basis.haar", "levels"),
             *named("jaxrelight.basis.latlong", "directions coordinates solid_angles from_cube area_resampling"),
+            *named("jaxrelight.basis.latlong", "cube_to_latlong"),
             *named("jaxrelight.basis.local_frequency", "local_frequency mirrored around_sphere"),
             *named("jaxrelight.basis.overlaps", "overlaps"),
             *named("jaxrelight.basis.quadtree", "flattened z_curve"),

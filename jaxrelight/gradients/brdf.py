@@ -83,6 +83,15 @@ ENTRIES: Entries = (
         orders=2,
     ),
     Entry(
+        named("jaxrelight.brdf.lobes", "LobeSum.integral"),
+        differentiable_in="brdf, omega_i, omega_o, weights; linear in the weights",
+        example=lambda: Example(
+            lambda brdf, i, o, weights: brdf.integral(i, o, weights),
+            (two_lobes(), np.stack([OMEGA_I, NORMAL, _ACROSS + NORMAL], axis=1), OMEGA_O, numbers(3, 3)),
+        ),
+        kinks="as of `LobeSum.evaluate`",
+    ),
+    Entry(
         named("jaxrelight.brdf.lobes", "LobeSum.peak"),
         differentiable_in="brdf, omega_o",
         example=lambda: Example(lambda brdf, o: brdf.peak(o), (two_lobes(), OMEGA_O)),
@@ -283,9 +292,15 @@ ENTRIES: Entries = (
         kinks="as of `Disc.place`",
     ),
     Entry(
-        named("jaxrelight.brdf.reflection", "FixedView.light_side"),
+        named("jaxrelight.brdf.reflection", "FixedView.light_side FixedView.light_terms Reflection.light_terms"),
         differentiable_in="brdf, omega_i, omega_o",
-        example=lambda: Example(lambda brdf, o, i: FixedView(brdf, o).light_side(i), (two_lobes(), OMEGA_O, OMEGA_I)),
+        example=lambda: Example(
+            lambda brdf, o, i: (
+                FixedView(brdf, o).light_side(i),
+                FixedView(brdf, o).light_terms(i[:, None], i[None, :, None]),
+            ),
+            (two_lobes(), OMEGA_O, OMEGA_I),
+        ),
         orders=2,
         ends="0, and no slope, where the eye is at the horizon or below",
     ),
@@ -345,7 +360,7 @@ ENTRIES: Entries = (
     ),
     Exempt(
         (
-            *named("jaxrelight.brdf.contract", "Brdf.evaluate"),
+            *named("jaxrelight.brdf.contract", "Brdf.evaluate Brdf.integral"),
             *named("jaxrelight.brdf.parametrisation", "Parametrisation.place"),
             *named("jaxrelight.brdf.reflection", "Reflection.light_side Reflection.view_side Reflection.view_side_at"),
         ),

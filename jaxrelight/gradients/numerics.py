@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxrelight.gradients.entry import Entries, Entry, Example, Exempt, Singular, named
 from jaxrelight.gradients.examples import at_point, scalar
-from jaxrelight.numerics import arrays, safe
+from jaxrelight.numerics import arrays, few_parameters, safe
 
 _A, _B = np.array([0.3, -2.0, 0.7]), np.array([1.0, 0.2, 0.1])
 _ZERO, _UP = np.zeros(3), np.array([0.0, 0.0, 1.0])
@@ -75,6 +75,16 @@ ENTRIES: Entries = (
         example=lambda: Example(arrays.as_array, (_A,)),
         orders=2,
         dtypes="that asked for, else that of the values, at most as JAX is set",
+    ),
+    Entry(
+        named("jaxrelight.numerics.few_parameters", "of_few_parameters"),
+        differentiable_in="parameters and others, as the function is",
+        example=lambda: Example(
+            few_parameters.of_few_parameters(lambda exponent, vector: safe.power(vector, exponent)),
+            (scalar(2.5), np.array([0.3, 2.0, 0.7])),
+        ),
+        orders=2,
+        kinks="as of the function",
     ),
     Exempt(named("jaxrelight.numerics.arrays", "on_host"), "known numbers move to the host"),
     Exempt(

@@ -144,7 +144,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.lighting.indirect", "IndirectRelighter.irradiance_at_cloud add_irradiance"),
             *named("jaxrelight.lighting.indirect", "IndirectRelighter.sky_light IndirectRelighter.add_bounces"),
             *named("jaxrelight.lighting.indirect", "IndirectRelighter.final_gather IndirectRelighter.layers"),
-            *named("jaxrelight.lighting.indirect", "IndirectRelighter.background"),
+            *named("jaxrelight.lighting.indirect", "IndirectRelighter.background IndirectRelighter.reflected_once"),
         ),
         differentiable_in=f"{_LIGHT}; albedos of the cloud",
         example=lambda: _example(_INDIRECT),

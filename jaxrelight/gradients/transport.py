@@ -49,7 +49,7 @@ def _share(weights, direction, exponent):
 
 ENTRIES: Entries = (
     Entry(
-        named("jaxrelight.transport.bake", "bake_and_apply Directions.to_texels"),
+        named("jaxrelight.transport.bake", "bake_and_apply Directions.to_texels Directions.to_rays"),
         differentiable_in="reflection, light; linear in light",
         example=lambda: Example(
             lambda brdf, light: bake.bake_and_apply(*_given(brdf), light),
