@@ -200,7 +200,12 @@ ENTRIES: Entries = (
     Entry(
         named("jaxrelight.lighting.adaptive.relighter", "AdaptiveRelighter.with_materials"),
         differentiable_in="all numbers of materials",
-        example=lambda: Example(functools.partial(_of_materials, Adaptive()), (numbers(3), scalar(0.3), scalar(6.0))),
+        example=lambda: Example(
+            functools.partial(_of_materials, Adaptive()),
+            (numbers(3), scalar(0.3), scalar(6.0)),
+            # Where all albedos grow alike, directions are drawn as before.
+            along=(numbers(3), scalar(0.3), scalar(0)),
+        ),
         fixed="where samples are taken, how many, and the directions that are drawn",
         kinks="as of the BRDFs",
     ),

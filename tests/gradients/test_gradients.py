@@ -12,7 +12,11 @@ from tests.gradients.laws import Batch, Law, check_types
 
 DIFFERENTIABLE = [entry for entry in (*entries(), *of_fitting.ENTRIES) if isinstance(entry, Entry)]
 # Those that are checked by the quick suite as well.
-QUICK = ("jaxrelight.numerics.safe.norm",)
+QUICK = (
+    "jaxrelight.numerics.safe.norm",
+    "jaxrelight.brdf.parametrisation.Disc.place",
+    "jaxrelight.brdf.sampling.to_disc",
+)
 
 
 @pytest.fixture
