@@ -1,5 +1,8 @@
 """Entries of `fitting`: what its functions of arrays can be differentiated in, see `jaxrelight.gradients`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import functools
 
 import jax
@@ -37,7 +40,7 @@ def _residual(unknowns, values):
     given = samples.Samples(
         *((omega_i * omega_o).T, values, np.full(40, 40**-0.5, values.dtype), np.ones((), values.dtype)),
         *(np.zeros((), int) for _ in range(3)),
-    )  # pyright: ignore[reportArgumentType]
+    )
     return residuals.residual(unknowns, (own, given))
 
 

@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.basis`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import numpy as np
 
 from jaxrelight.basis import cube_grid, haar, latlong, truncation, zonal

@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.brdf`: BRDFs, their lobes and their factors."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 import functools
 
 import jax
@@ -36,7 +39,7 @@ def _evaluate(brdf, omega_i, omega_o):
 
 @functools.cache
 def _factored() -> Factored:
-    return Factored(*(numbers(2, 3, side, side).astype(np.float32) for side in (4, 4)))  # pyright: ignore[reportArgumentType]
+    return Factored(*(numbers(2, 3, side, side).astype(np.float32) for side in (4, 4)))
 
 
 def _factored_as(brdf) -> Factored:
@@ -50,7 +53,7 @@ def _adaptive() -> Adaptive:
     phi, theta = np.array([-np.pi]), np.array([0.0, 0.7, 1.5])
     warp = bilinear_warp.sums(numbers(3, 4, 5))
     arrays = phi, theta, numbers(3, 6), numbers(3, 5), *warp, numbers(3, 3, 5, 5)
-    return Adaptive(*(np.asarray(one, np.float32) for one in arrays))  # pyright: ignore[reportArgumentType]
+    return Adaptive(*(np.asarray(one, np.float32) for one in arrays))
 
 
 def _shiny() -> AshikhminShirley:

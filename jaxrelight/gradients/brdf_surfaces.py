@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.brdf`: materials, textures and maps, and drawing of directions."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 import functools
 
 import jax
@@ -39,7 +42,7 @@ def _half_vectors() -> HalfVectors:
     steps = np.stack([(np.arange(4.0) + 0.5) / 5, np.full(4, 0.2), np.full(4, 0.02), np.full(4, -0.01)], axis=1)
     roots = np.tile(steps.astype(np.float32), (1, 2, 1, 1))
     turns = np.tile(steps.astype(np.float32) * 4 - 2, (1, 2, 5, 1, 1))
-    return HalfVectors(roots, turns)  # pyright: ignore[reportArgumentType]
+    return HalfVectors(roots, turns)
 
 
 @functools.cache
@@ -50,8 +53,8 @@ def _packed() -> PackedTexture:
 @functools.cache
 def _spatial_factors() -> SpatialFactors:
     maps = (numbers(2, 1, 4, 4), numbers(2, 2, 4, 4))
-    weights = Texture(numbers(4, 4, 6).astype(np.float32)).minified()  # pyright: ignore[reportArgumentType]
-    return SpatialFactors(*(one.astype(np.float32) for one in maps), weights)  # pyright: ignore[reportArgumentType]
+    weights = Texture(numbers(4, 4, 6).astype(np.float32)).minified()
+    return SpatialFactors(*(one.astype(np.float32) for one in maps), weights)
 
 
 def _black_lobes():

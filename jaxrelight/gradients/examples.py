@@ -1,5 +1,8 @@
 """Small arguments that entries share."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import functools
 from typing import Any
 
@@ -57,10 +60,10 @@ def lobe_maps() -> SpatialLobes:
         numbers(4, 4, 2, 3),
         np.stack([np.cos(2 * angle), np.sin(2 * angle)], axis=-1),
     )
-    return SpatialLobes(*(one.astype(np.float32) for one in maps))  # pyright: ignore[reportArgumentType]
+    return SpatialLobes(*(one.astype(np.float32) for one in maps))
 
 
 @functools.cache
 def texture() -> Texture:
     """An image of 4×4 texels with all coarser levels."""
-    return Texture(numbers(4, 4, 3).astype(np.float32)).minified()  # pyright: ignore[reportArgumentType]
+    return Texture(numbers(4, 4, 3).astype(np.float32)).minified()

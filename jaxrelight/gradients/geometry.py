@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.geometry`: host code on meshes, but for frames."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import numpy as np
 
 from jaxrelight.geometry import frame

@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.lighting`: the parts that methods share, and what is host code; see `relighting`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import numpy as np
 
 from jaxrelight.geometry.frame import tangent_frame

@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.lights`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import functools
 
 import numpy as np

@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.numerics`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import numpy as np
 
 from jaxrelight.gradients.entry import Entries, Entry, Example, Exempt, Singular, named

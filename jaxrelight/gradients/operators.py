@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.operators`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import functools
 
 import numpy as np
@@ -41,14 +44,14 @@ def _quantised() -> SparseRows:
 
 
 def _dense(rows: int = 6) -> Dense:
-    return Dense(numbers(rows, 3, 24).astype(np.float32))  # pyright: ignore[reportArgumentType]
+    return Dense(numbers(rows, 3, 24).astype(np.float32))
 
 
 @functools.cache
 def _kinds() -> tuple[Operator, ...]:
     """One of every kind, on 24 coefficients."""
     kept, dense = _sparse(), _dense()
-    square = Dense(numbers(5, 3, 6).astype(np.float32))  # pyright: ignore[reportArgumentType]
+    square = Dense(numbers(5, 3, 6).astype(np.float32))
     return (
         *(dense, kept, _quantised(), _clustered(), Stacked((dense, kept))),
         *(dense + kept, square @ kept, 2.5 * kept, InBasis(kept, HaarFaces(2))),

@@ -1,5 +1,8 @@
 """Entries of the lighting methods in `jaxrelight.lighting`: from light and materials to a picture."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import functools
 from typing import Any
 

@@ -1,5 +1,8 @@
 """Entries of `jaxrelight.transport` and of `jaxrelight.gather`."""
 
+# Examples are arrays of NumPy, which functions of arrays of JAX take.
+# pyright: reportArgumentType=false
+
 import functools
 
 import jax
@@ -26,7 +29,7 @@ def _given(brdf):
     """Arrays that all baking takes, of the type of a BRDF."""
     dtype = brdf.diffuse.dtype
     frames = _frames().astype(dtype)
-    reflection = FixedView(brdf, np.tile(OMEGA_O, (2, 1)).astype(dtype))  # pyright: ignore[reportArgumentType]
+    reflection = FixedView(brdf, np.tile(OMEGA_O, (2, 1)).astype(dtype))
     return _BITS, frames, reflection, bake.directions_for(2, dtype=dtype)
 
 
@@ -34,7 +37,7 @@ def _given(brdf):
 def _frames() -> Float[np.ndarray, "2 3 3"]:
     # It is kept, so it must not be made of what is being traced.
     with jax.ensure_compile_time_eval():
-        return np.asarray(tangent_frame(_NORMALS.astype(np.float32)))  # pyright: ignore[reportArgumentType]
+        return np.asarray(tangent_frame(_NORMALS.astype(np.float32)))
 
 
 @functools.cache
