@@ -6,7 +6,7 @@ from jaxrelight.gradients.entry import Entries
 
 # Files of this folder that hold entries.
 FOLDERS = (
-    *("numerics", "basis", "brdf", "brdf_surfaces", "lights", "operators", "transport", "lighting"),
+    *("numerics", "basis", "brdf", "brdf_surfaces", "brdf_host", "lights", "operators", "transport", "lighting"),
     *("relighting", "geometry", "host_folders", "inverse", "inverse_lamps"),
 )
 
