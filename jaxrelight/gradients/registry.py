@@ -7,7 +7,7 @@ from jaxrelight.gradients.entry import Entries
 # Files of this folder that hold entries.
 FOLDERS = (
     *("numerics", "basis", "brdf", "brdf_surfaces", "brdf_host", "lights", "operators", "transport", "lighting"),
-    *("relighting", "geometry", "host_folders", "inverse", "inverse_lamps"),
+    *("relighting", "geometry", "host_folders", "inverse_lamps", "inverse_light", "inverse_materials"),
 )
 
 
