@@ -1,5 +1,7 @@
 """Sums over many directions are those of single evaluations, for every kind of BRDF."""
 
+from typing import Any
+
 import jax
 import numpy as np
 import pytest
@@ -23,12 +25,12 @@ BRDFS = {
 }
 
 
-def directions(count: int, dtype=np.float32) -> np.ndarray:
+def directions(count: int, dtype: Any = np.float32) -> Any:
     vectors = np.random.default_rng(0).normal(size=(3, count))
     return (vectors / np.linalg.norm(vectors, axis=0)).astype(dtype)
 
 
-def given(dtype=np.float32):
+def given(dtype: Any = np.float32) -> Any:
     omega_i = directions(200, dtype)
     weights = np.random.default_rng(1).random((3, 200)).astype(dtype) * np.maximum(omega_i[2:], 0)
     return omega_i, np.array([0.36, 0.48, 0.8], dtype), weights

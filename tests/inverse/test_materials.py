@@ -33,6 +33,12 @@ def picture(relighter: jr.Relighter, given, lights=LIGHTS, view=None) -> np.ndar
     return np.asarray(changed.shade(changed.light(lights), view or relighter.view()).radiance)
 
 
+def lobes_of(found: InverseMaterials, name: str) -> jr.LobeSum:
+    brdf = found.materials[name]
+    assert isinstance(brdf, jr.LobeSum)
+    return brdf
+
+
 @pytest.fixture(scope="module")
 def relighter(tmp_path_factory) -> jr.Relighter:
     return jr.prepare(scene(), METHOD, tmp_path_factory.mktemp("materials"))
@@ -49,9 +55,7 @@ def test_an_exponent_is_found_from_a_wrong_start(solved):
     assert solved.residual < 1e-6
     assert solved.held_out is not None
     assert solved.held_out < 1e-6
-    gloss, paper = solved.materials["gloss"], solved.materials["paper"]
-    assert isinstance(gloss, jr.LobeSum)
-    assert isinstance(paper, jr.LobeSum)
+    gloss, paper = lobes_of(solved, "gloss"), lobes_of(solved, "paper")
     np.testing.assert_allclose(gloss.exponent, 20, rtol=1e-4)
     np.testing.assert_allclose(gloss.scale, TRUE["gloss"].scale, rtol=1e-4)
     np.testing.assert_allclose(paper.diffuse, [0.7, 0.6, 0.4], rtol=1e-5)
@@ -72,7 +76,7 @@ def test_an_albedo_is_exact_at_once(relighter):
     assert found.saturated > 0
     assert found.steps <= 2
     assert found.pixels < 3 * mask.sum()
-    np.testing.assert_allclose(found.materials["paper"].diffuse, [0.7, 0, 0.4], atol=2e-6)
+    np.testing.assert_allclose(lobes_of(found, "paper").diffuse, [0.7, 0, 0.4], atol=2e-6)
 
 
 def test_what_no_picture_tells_is_named(relighter):
@@ -89,8 +93,8 @@ def test_what_no_picture_tells_is_named(relighter):
     assert not found.estimates["gloss.exponent"].determined.any()
     assert np.isinf(found.estimates["gloss.exponent"].high).all()
     # What is not told is what was started from.
-    np.testing.assert_allclose(found.materials["gloss"].exponent, 5.0, rtol=1e-5)
-    np.testing.assert_allclose(found.materials["paper"].diffuse, [0.7, 0.6, 0.4], rtol=1e-4)
+    np.testing.assert_allclose(lobes_of(found, "gloss").exponent, 5.0, rtol=1e-5)
+    np.testing.assert_allclose(lobes_of(found, "paper").diffuse, [0.7, 0.6, 0.4], rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -102,7 +106,7 @@ def test_a_known_material_tells_how_strong_lights_are(relighter):
     assert found.light_scale is not None
     assert found.light_scale.determined
     assert float(found.light_scale.value) == pytest.approx(1.7, rel=1e-4)
-    np.testing.assert_allclose(found.materials["paper"].diffuse, [0.7, 0.6, 0.4], rtol=1e-4)
+    np.testing.assert_allclose(lobes_of(found, "paper").diffuse, [0.7, 0.6, 0.4], rtol=1e-4)
 
 
 def test_intervals_follow_the_noise(relighter):
@@ -203,8 +207,8 @@ def test_the_same_by_other_methods(method, tmp_path):
     relighter = jr.prepare(scene(), method, tmp_path if method.is_stored else None)
     found = materials(relighter, [picture(relighter, TRUE)], lights=LIGHTS, unknowns=START)
     assert found.residual < 1e-4
-    np.testing.assert_allclose(found.materials["gloss"].exponent, 20, rtol=0.01)
-    np.testing.assert_allclose(found.materials["paper"].diffuse, [0.7, 0.6, 0.4], rtol=1e-3)
+    np.testing.assert_allclose(lobes_of(found, "gloss").exponent, 20, rtol=0.01)
+    np.testing.assert_allclose(lobes_of(found, "paper").diffuse, [0.7, 0.6, 0.4], rtol=1e-3)
 
 
 @pytest.mark.slow

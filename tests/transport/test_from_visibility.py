@@ -1,6 +1,7 @@
 """Rows that are baked whenever they are used: those that baking writes out, for every way in which rows are kept."""
 
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import Transport
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.transport.from_visibility import from_visibility
 from jaxrelight.transport.rebake import rebake
 from tests.transport.scenes import ball_on_floor
@@ -34,7 +36,7 @@ def test_products_are_those_of_written_rows(folder, kept):
     block = transport.blocks[number_of(transport, "lacquer")]
     rows = rebake(transport, reflections_of(transport)).blocks[number_of(transport, "lacquer")].operator
     again = baked_at_use(transport, block)
-    light = np.random.default_rng(0).normal(size=(96, 3)).astype(np.float32)
+    light: Any = np.random.default_rng(0).normal(size=(96, 3)).astype(np.float32)
     wanted = rows.apply(light)
     np.testing.assert_allclose(again.apply(light), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
     assert again.shape == rows.shape
@@ -46,10 +48,12 @@ def test_the_adjoint_and_single_rows(folder):
     operator = baked_at_use(transport, transport.blocks[number_of(transport, "lacquer")])
     generator = np.random.default_rng(1)
     r, d, c = operator.shape
+    x: Any
+    y: Any
     x, y = (generator.normal(size=(n, c)).astype(np.float32) for n in (d, r))
     there, back = float(np.vdot(operator.apply(x), y)), float(np.vdot(x, operator.transpose(y)))
     assert there == pytest.approx(back, rel=1e-4)
-    row = np.asarray(operator.rows(np.array([5, 3])))
+    row = np.asarray(operator.rows(as_array(np.array([5, 3], np.int32))))
     np.testing.assert_allclose(
         np.einsum("icd,dc->ic", row, x), np.asarray(operator.apply(x))[[5, 3]], rtol=1e-3, atol=1e-4
     )
