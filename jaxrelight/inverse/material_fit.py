@@ -1,6 +1,6 @@
 """Unknown materials fitted to observed pictures: few numbers by Levenberg–Marquardt, many by conjugate gradients."""
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -44,7 +44,7 @@ class Scene(eqx.Module):
     lit: tuple[Any, ...]
     views: tuple[Any, ...]
     traced: tuple[Any, ...]
-    bounces: str | None = eqx.field(static=True)
+    bounces: Literal["held", "followed"] | None = eqx.field(static=True)
 
     def rendered(self, unknowns: Unknowns, coordinates: Coordinates) -> list[Float[Array, "h w 3"]]:
         """The pictures; differentiable in the coordinates."""

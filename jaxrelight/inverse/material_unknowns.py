@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -247,9 +247,7 @@ def _entries(C: Float[Array, "l c1 3"], ratios: Float[Array, "l c1 q"], groups: 
     return jnp.sign(C) * sizes / jnp.max(sizes, axis=-1, keepdims=True)
 
 
-def _material(
-    name: str, started: _Started, parameters: dict[str, Parameter], values: dict[str, Float[Array, "..."]]
-) -> Material:
+def _material(name: str, started: _Started, parameters: dict[str, Parameter], values: dict[str, Any]) -> Material:
     """One material of its parameters' values."""
     lobes, textures = started.lobes, started.textures
 

@@ -204,7 +204,8 @@ def _scene(
             raise InputError(f"{len(lights)} lights were given for {count} pictures; give one for each, or one for all")
         lit = tuple(prepared.light(one) for one in lights)
     else:
-        one = relighter.scene_lights() if lights is None else as_lights(lights)
+        given: Any = lights
+        one = relighter.scene_lights() if lights is None else as_lights(given)
         if not one:
             raise InputError("the scene has no lights of its own; give those of the pictures")
         lit = (prepared.light(one),) * count

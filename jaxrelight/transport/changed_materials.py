@@ -6,7 +6,7 @@ lobes are filtered, or have rows of their own. Here the parts of another materia
 
 import dataclasses
 from collections.abc import Mapping
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -81,10 +81,12 @@ def with_materials(transport: PrecomputedTransport, materials: Mapping[str, Mate
         for number, part in zip(gathered, _filled(of_lobes, len(gathered))[: len(gathered)], strict=True):
             blocks[number] = _black(blocks[number]) if part is None else _gathered(blocks[number], part)
         emission = None if material.emission is None else as_array(material.emission)
-        for numbers, every in ((own_blocks, blocks), (own_lobes, lobes)):
-            for number in numbers:
-                every[number] = dataclasses.replace(every[number], emission=emission)
-                emission = None
+        for number in own_blocks:
+            blocks[number] = dataclasses.replace(blocks[number], emission=emission)
+            emission = None
+        for number in own_lobes:
+            lobes[number] = dataclasses.replace(lobes[number], emission=emission)
+            emission = None
     return dataclasses.replace(transport, blocks=tuple(blocks), lobes=tuple(lobes))
 
 
@@ -125,8 +127,9 @@ def parts_of_material(material: Material, split: bool) -> MaterialParts:
             white = jnp.ones(1, brdf.diffuse.dtype)
             diffuse.append(DiffusePart(white, (Texture(as_array(brdf.diffuse)).minified(), *weight)))
         if has_lobes(brdf) or not isinstance(brdf, LobeSum):
-            lobes = without_diffuse(brdf) if split and isinstance(brdf, LobeSum | SpatialLobes) else brdf
-            glossy.append(GlossyPart(lobes, weight))
+            lobes: Any = brdf
+            is_split = split and isinstance(brdf, LobeSum | SpatialLobes)
+            glossy.append(GlossyPart(without_diffuse(lobes) if is_split else brdf, weight))
     return MaterialParts(diffuse, glossy)
 
 
@@ -185,9 +188,10 @@ def _rows_of(transport: PrecomputedTransport, block: Block, part: GlossyPart) ->
         reflection: Reflection = refactored(brdf, _in_channels(old, brdf.channels))
     elif isinstance(old, FixedView):
         receivers = transport.receivers
-        reflection = FixedView(brdf, old.omega_o)
         if isinstance(brdf, SpatialLobes):
             reflection = jax.tree.map(as_array, fixed_view(brdf, receivers, block.groups))
+        else:
+            reflection = FixedView(brdf, old.omega_o)
     else:
         raise InputError(
             f"material '{block.material}': factors that texels share cannot be changed; prepare with reflection "

@@ -30,7 +30,8 @@ def main():
     parser.add_argument("--cost", nargs=4, metavar=("WAY", "SIZE", "RESOLUTION", "STORE"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.cost:
-        cost_of(arguments.cost[0], *map(int, arguments.cost[1:3]), pathlib.Path(arguments.cost[3]))
+        way, size, resolution, store = arguments.cost
+        cost_of(way, int(size), int(resolution), pathlib.Path(store))
         return
     shared("reference")
     quick = arguments.quick
