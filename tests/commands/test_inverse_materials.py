@@ -9,6 +9,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight import InputError
+from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.commands.inverse_materials import InverseMaterialsCommand, write_materials
 from jaxrelight.images import write_image
 from jaxrelight.inverse.materials import InverseMaterials
@@ -74,7 +75,7 @@ def test_found_materials_are_those_of_a_scene_file(folder, capsys):
     assert {path.name for path in (folder / "report").glob("*.png")} == {"picture.png", "found.png", "difference.png"}
     (folder / "again.toml").write_text(SCENE.split("[material.paper]")[0] + out.read_text() + _rest())
     paper = load_scene(folder / "again.toml").materials["paper"]
-    assert isinstance(paper, jr.LobeSum)
+    assert isinstance(paper, LobeSum)
     np.testing.assert_allclose(paper.diffuse, [0.7, 0.2, 0.6], rtol=1e-3)
 
 
@@ -108,6 +109,6 @@ def test_lobes_are_written_as_a_scene_has_them(folder):
     read = load_scene(folder / "read.toml").materials
     for name, brdf in given.items():
         again = read[name]
-        assert isinstance(again, jr.LobeSum)
+        assert isinstance(again, LobeSum)
         for part in ("diffuse", "C", "exponent", "scale"):
             np.testing.assert_allclose(getattr(again, part), getattr(brdf, part), rtol=1e-5)
