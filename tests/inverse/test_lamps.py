@@ -10,6 +10,7 @@ import jaxrelight as jr
 from jaxrelight import Camera, InputError, Part, Scene, Sensor
 from jaxrelight.inverse.lamp_targets import LuxTarget
 from jaxrelight.inverse.lamps import lamps
+from tests.compilations import compilations
 from tests.scenes import raised, room
 
 CAMERA = Camera((0, 0, 0.4), (0, 0, -1), fov_y=80, width=12, height=12)
@@ -52,6 +53,11 @@ def test_the_intensity_of_a_hidden_lamp_is_found_exactly(at_sensors, name):
     assert unknown.deviation == pytest.approx(0.01 / np.sqrt(5) * INTENSITY, rel=1e-3)
     assert found.undetermined == ()
     assert "shadow boundaries" in found.held_fixed[0]
+    # Other targets and lamps compile nothing more: no step and no start does.
+    others = targets_of(relighter, jr.point([0.0, 0.2, 0.1], 3.0))
+    with compilations() as programs:
+        lamps(relighter, others, free=["intensity"], lights=jr.point([0.0, 0.2, 0.1], 0.5))
+    assert not programs
 
 
 @pytest.mark.slow
