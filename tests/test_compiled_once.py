@@ -181,6 +181,7 @@ ELSEWHERE = {
     *("lighting/filtered_reflection", "operators/multilinear"),
     *("lighting/adaptive/estimate", "lighting/adaptive/hierarchy", "lighting/adaptive/prediction"),
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
+    *("inverse/lamp_problem", "inverse/lamp_response"),
 }
 # What takes seconds to compile the first time.
 DEAR = "fitting/factors", "fitting/sbrdf_levels"

@@ -90,8 +90,8 @@ ENTRIES: Entries = (
     Exempt(
         named(
             "jaxrelight.inverse.lamp_problem",
-            "lights_of all_lights_of outputs_of outputs_and_slopes found_placements solved loss_at lamp_outputs "
-            "sensitivities",
+            "lights_of all_lights_of outputs_of outputs_and_slopes found_placements solved linearised loss_at "
+            "lamp_outputs sensitivities",
         ),
         _SOLVER,
     ),

@@ -145,6 +145,15 @@ def solved(problem: LampProblem, unknowns: Unknowns, steps: int) -> Unknowns:
 
 
 @eqx.filter_jit
+def linearised(problem: LampProblem, unknowns: Unknowns) -> tuple[Float[Array, " r"], Float[Array, "r p"]]:
+    """Residuals, and their slopes in all unknowns."""
+    outputs, slopes = outputs_and_slopes(unknowns, problem)
+    residual, push = jax.linearize(problem.targets.residual, outputs)
+    every = jnp.concatenate([jnp.moveaxis(own, 1, 0).reshape(own.shape[1], -1) for own in slopes], axis=1)
+    return residual, jax.vmap(push, in_axes=1, out_axes=1)(every)
+
+
+@eqx.filter_jit
 def loss_at(problem: LampProblem, unknowns: Unknowns) -> Float[Array, ""]:
     """The sum of squared residuals."""
     return jnp.sum(problem.targets.residual(outputs_of(unknowns, problem)) ** 2)

@@ -7,9 +7,10 @@ still brings the lamps nearer to their targets.
 
 import dataclasses
 import functools
+import itertools
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import jax
@@ -24,6 +25,7 @@ from jaxrelight.inverse.lamp_problem import (
     LampProblem,
     Unknowns,
     found_placements,
+    linearised,
     loss_at,
     on_host,
     solved,
@@ -59,7 +61,9 @@ HELD_FIXED = (
     "environment, emission, materials and geometry",
 )
 # A round moves unknowns by no more than this, and tries these shares of it.
-_MAX_MOVE, _SHARES = 1.5, (1.0, 0.5, 0.2, 0.06, 0.02)
+_MAX_MOVE, _SHARES = 1.5, (1.0, 0.5, 0.2)
+# Of single steps that are tried where none of these helps, damping over the largest singular value.
+_DAMPINGS = 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0
 # Steps of Levenberg–Marquardt in a round. Rounds end when they lower the loss by less than this share, or at this loss.
 _STEPS, _LEAST_GAIN, _SOLVED = 12, 1e-3, 1e-11
 # By which starts differ from the lamps that are given, beside their places.
@@ -183,8 +187,10 @@ def _solve_start(problem: LampProblem, placements: tuple[Placement, ...], rounds
         if not furthest > 0:
             break
         longest = min(1.0, _MAX_MOVE / furthest)
-        for share in _SHARES:
-            tried = tuple(old + share * longest * (new - old) for new, old in _pairs(moved, unknowns))
+        along = tuple(longest * (new - old) for new, old in _pairs(moved, unknowns))
+        scaled = (tuple(share * own for own in along) for share in _SHARES)
+        for step in itertools.chain(scaled, _damped_steps(problem, unknowns)):
+            tried = tuple(old + own for own, old in _pairs(step, unknowns))
             there = _at(problem, found_placements(problem, tried))
             own = _unknowns(there)
             fresh = float(loss_at(there, own))
@@ -198,6 +204,20 @@ def _solve_start(problem: LampProblem, placements: tuple[Placement, ...], rounds
             break
     report(rounds, rounds)
     return loss, on_host(best)
+
+
+def _damped_steps(problem: LampProblem, unknowns: Unknowns) -> Iterator[Unknowns]:
+    """Single steps of ever larger damping, which turn towards steepest descent: where a shadow's edge is in the way."""
+    residual, slopes = (np.asarray(x, float) for x in linearised(problem, unknowns))
+    u, singular, v = np.linalg.svd(slopes, full_matrices=False)
+    for damping in _DAMPINGS:
+        filtered = singular / (singular**2 + (damping * max(singular.max(), 1e-30)) ** 2)
+        step, at, parts = -(v.T * filtered) @ (u.T @ residual), 0, []
+        step *= min(1.0, _MAX_MOVE / max(float(np.abs(step).max()), 1e-30))
+        for own in unknowns:
+            parts.append(as_array(step[at : at + own.size].reshape(own.shape), np.float32))
+            at += own.size
+        yield tuple(parts)
 
 
 def _pairs(new: Unknowns, old: Unknowns):
