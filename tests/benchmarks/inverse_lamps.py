@@ -13,8 +13,8 @@ from tests.benchmarks.large_scenes import CASES, scene_text
 from tests.benchmarks.measuring import Report, answer, percent, run_child, shared
 
 MODULE = "tests.benchmarks.inverse_lamps"
-# Places of sensors, which look up, 0.85 m above the floor of the hall.
-ACROSS, ALONG, HEIGHT = (-3.0, -1.5, 0.0, 1.5), (1.7, 2.6, 3.5), 0.85
+# Places of sensors, which look up, 0.85 m above the floor; the first row is before the stairs.
+ACROSS, ALONG, HEIGHT = (-3.0, -1.5, 0.0, 1.5), (0.0, 1.8, 3.4), 0.85
 # Hidden lamps: place, intensity, and of spots what they look at and their cutoff.
 HIDDEN = [
     ([-2.8, 2.4, 0.1], 14.0, None, None),
@@ -34,13 +34,14 @@ TARGET, LIMIT = 0.03, 120.0
 def main():
     parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="few points of the cloud; RESULTS.md is left as it is")
+    parser.add_argument("--samples", type=int, default=16384, help="points of the clouds")
     parser.add_argument("--child", type=json.loads, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.child:
         child(**arguments.child)
         return
     shared("data", "mesh")
-    samples, starts = (256, 2) if arguments.quick else (16384, 4)
+    samples, starts = (256, 2) if arguments.quick else (arguments.samples, 4)
     parameters = (
         f"the staircase, {samples:,} gather samples, three bounces; targets by hidden lamps; six lamps whose place and "
         f"intensity are free, and the aim of three spots, from {starts} starts; the check has a cloud of another seed, "
@@ -125,7 +126,7 @@ def child(folder: str, samples: int, starts: int, lamps: list | None = None):
         for at, spot in zip(BEGUN, spots, strict=True)
     ]
     free = {number: ["intensity", "position"] + ["aim"] * spot for number, spot in enumerate(spots)}
-    box = {number: [np.subtract(at, MOVES), np.add(at, MOVES)] for number, at in enumerate(BEGUN)}
+    box = {number: np.stack([np.subtract(at, MOVES), np.add(at, MOVES)]) for number, at in enumerate(BEGUN)}
     asked = {str(number): LuxTarget(values=[value]) for number, value in enumerate(targets, 1)}
     begin, busy = time.perf_counter(), time.process_time()
     found = solve(relighter, asked, free=free, lights=begun, box=box, starts=starts)

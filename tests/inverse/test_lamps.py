@@ -79,7 +79,12 @@ def test_the_place_of_a_lamp_follows_from_five_sensors(at_sensors, name):
 def test_lamps_are_the_same_for_the_same_seed_and_stay_in_their_boxes(at_sensors):
     relighter = at_sensors("transport")
     box = [[-0.4, -0.4, -0.4], [0.05, 0.2, 0.4]]
-    asked = {"free": ["intensity", "position"], "lights": jr.point([-0.2, 0.1, 0.2], 1.0), "box": box, "starts": 2}
+    asked: dict[str, Any] = {
+        "free": ["intensity", "position"],
+        "lights": jr.point([-0.2, 0.1, 0.2], 1.0),
+        "box": box,
+        "starts": 2,
+    }
     first, second = (lamps(relighter, targets_of(relighter), **asked) for _ in range(2))
     (one,), (other,) = first.lamps, second.lamps
     np.testing.assert_array_equal(one.position, other.position)  # pyright: ignore[reportAttributeAccessIssue]
@@ -214,7 +219,7 @@ def test_colour_and_cone_of_a_spot_follow_from_a_picture(tmp_path):
 )
 def test_bad_targets_and_lamps_are_refused_in_one_line(at_sensors, wrong_types, targets, options, said):
     with pytest.raises(InputError, match=said) as refusal:
-        lamps(at_sensors("transport"), targets, **{"lights": HIDDEN, **options})
+        lamps(at_sensors("transport"), targets, **{"lights": HIDDEN, **options})  # pyright: ignore[reportArgumentType]
     assert "\n" not in str(refusal.value)
 
 
