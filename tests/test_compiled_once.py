@@ -179,6 +179,7 @@ FUNCTIONS: dict[str, list[Callable[[int], Any]]] = {
 }
 ELSEWHERE = {
     *("lighting/filtered_reflection", "operators/multilinear"),
+    *("transport/from_visibility", "inverse/material_fit"),
     *("lighting/adaptive/estimate", "lighting/adaptive/hierarchy", "lighting/adaptive/prediction"),
     *("lighting/shadows", "lighting/sun", "transport/bake", "gather/final_gather"),
     *("inverse/lamp_problem", "inverse/lamp_response"),

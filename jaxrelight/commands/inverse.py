@@ -7,14 +7,19 @@ from jaxrelight.command_line import run_command
 from jaxrelight.commands.dials import HELP_ALL, with_dials
 from jaxrelight.commands.inverse_lamps import InverseLampsCommand
 from jaxrelight.commands.inverse_light import InverseLightCommand
+from jaxrelight.commands.inverse_materials import InverseMaterialsCommand
 from jaxrelight.errors import InputError
 
-COMMANDS: dict[str, type] = {"light": InverseLightCommand, "lamps": InverseLampsCommand}
+COMMANDS: dict[str, type] = {
+    "light": InverseLightCommand,
+    "materials": InverseMaterialsCommand,
+    "lamps": InverseLampsCommand,
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class Inverse:
-    """Solve for the light of pictures, or for lamps that meet targets; `jaxrelight inverse --help` says more."""
+    """Solve for light, for materials, or for lamps that meet targets; `jaxrelight inverse --help` says more."""
 
     def run(self) -> None:
         """Never called: `run_inverse` takes the rest of the command line.

@@ -43,9 +43,7 @@ ENTRIES: Entries = (
         nan="a texel is part of several pixels",
     ),
     Exempt(
-        (
-            *named(f"{_INVERSE}.light_problem", "LightProblem.split applied adjoint rendered"),
-        ),
+        (*named(f"{_INVERSE}.light_problem", "LightProblem.split applied adjoint rendered"),),
         _STEP,
     ),
     Exempt(
