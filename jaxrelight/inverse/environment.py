@@ -401,8 +401,8 @@ def _is_fitted(used: Observed, held_out: Observed) -> Bool[np.ndarray, "p 3"]:
 
 def _judged(fitted: Bool[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """The rows that judge a fit: those that are held out; all, where none are."""
-    held_out = ~fitted.any(axis=1)
-    return held_out if held_out.any() else ~held_out
+    held_out = np.logical_not(fitted.any(axis=1))
+    return held_out if held_out.any() else np.logical_not(held_out)
 
 
 def _brightness(rows: Sequence[Observed], even: Sequence[np.ndarray]) -> float:
@@ -417,7 +417,7 @@ def _brightness(rows: Sequence[Observed], even: Sequence[np.ndarray]) -> float:
 def _lamp_pictures(relighter: Relighter, lamps: Sequence[Light], seen, brightness: float, even):
     """Radiance of every picture by each lamp, times a factor on all by which it is as bright as what is sought."""
     if not lamps:
-        return tuple(np.zeros((0, *image.shape), np.float32) for image in even), np.ones((0, 1))
+        return tuple(as_array(np.zeros((0, *image.shape), np.float32)) for image in even), np.ones((0, 1))
     dark = relighter.light(None)
     base = [np.asarray(relighter.shade(dark, view).radiance) for view in seen]
     by_lamp = []

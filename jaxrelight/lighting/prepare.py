@@ -135,7 +135,7 @@ def _prepare_prefiltered(
 
 def _prepare_adaptive(scene: Scene, method: Adaptive, report: Report | None) -> AdaptiveRelighter:
     materials = sampled_materials(_materials(scene, method.minification), report)
-    return AdaptiveRelighter(
+    return AdaptiveRelighter(  # pyright: ignore[reportCallIssue]  # its materials are a property
         sampled_materials=materials,
         own_lights=scene.lights,
         method=method,

@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import PyTree
@@ -179,7 +180,7 @@ def _made() -> Primitive:
     primitive = Primitive("multilinear")
     primitive.multiple_results = True
     primitive.def_impl(_compiled)
-    primitive.def_abstract_eval(lambda *_, avals, **__: [jax.core.ShapedArray(*aval) for aval in avals])
+    primitive.def_abstract_eval(lambda *_, avals, **__: [ShapedArray(*aval) for aval in avals])
     mlir.register_lowering(primitive, mlir.lower_fun(_computed, multiple_results=True))
     ad.primitive_jvps[primitive] = _differentiated
     ad.primitive_transposes[primitive] = _transposed

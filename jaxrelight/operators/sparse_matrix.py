@@ -78,6 +78,8 @@ def sparse_matrix(matrix: sparse.csr_array, dtype: DTypeLike = np.float32) -> Sp
 
 def _gathers(matrix: sparse.csr_array, dtype: DTypeLike) -> _Gathers:
     starts, counts = matrix.indptr, np.diff(matrix.indptr)
+    assert matrix.shape is not None
+    columns = matrix.shape[1]
     capacities = 2 ** np.ceil(np.log2(np.maximum(counts, 1))).astype(int)
     groups, members = [], []
     for capacity in np.unique(capacities):
@@ -87,7 +89,7 @@ def _gathers(matrix: sparse.csr_array, dtype: DTypeLike) -> _Gathers:
         entry = np.where(inside, starts[rows, None] + slot, 0)
         values = np.where(inside, matrix.data[entry], 0)[:, None].astype(dtype)
         indices = np.where(inside, matrix.indices[entry], 0).astype(np.int32)
-        groups.append(sparse_rows(indices, values, matrix.shape[1]))
+        groups.append(sparse_rows(indices, values, columns))
         members.append(rows)
     order = np.argsort(np.concatenate(members), kind="stable").astype(np.int32)
     return _Gathers(tuple(groups), jax.device_put(order))
