@@ -185,7 +185,7 @@ ELSEWHERE = {
     *("inverse/lamp_problem", "inverse/lamp_response"),
 }
 # What takes seconds to compile the first time.
-DEAR = "fitting/factors", "fitting/sbrdf_levels"
+DEAR = "fitting/factors", "fitting/sbrdf_levels", "fitting/solve"
 CASES = [
     pytest.param(file, number, marks=[pytest.mark.slow] * (file in DEAR))
     for file, of_file in FUNCTIONS.items()

@@ -37,7 +37,7 @@ def test_misspelt_command_suggests_the_right_one(run, typed: str, meant: str):
 
 
 def test_unknown_command_lists_them(run):
-    known = "demo, render, precompute, relight, info"
+    known = "demo, render, precompute, relight, measure, inverse, info"
     assert run("zzz") == (2, "", f"jaxrelight: 'zzz' is not a command; known are {known}\n")
 
 

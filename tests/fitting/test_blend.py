@@ -88,6 +88,7 @@ def _beside(*layers) -> SpatialLobes:
     return jax.tree.map(lambda *maps: np.stack(maps, axis=1), *(jax.tree.map(lambda a: a[0], of) for of in layers))
 
 
+@pytest.mark.slow
 def test_texels_are_refitted_in_chunks_and_keep_their_order():
     """Three in chunks of two; the share of nearly one alone gives it back."""
     cloth = lobe_sum([0.4, 0.2, 0.1], [lobe([-1, -1, z], n, peak=0.5) for z, n in ((0.5, 3), (0.9, 12))])

@@ -49,6 +49,7 @@ def solved(relighter) -> InverseMaterials:
     return materials(relighter, [picture(relighter, TRUE)], lights=LIGHTS, unknowns=START)
 
 
+@pytest.mark.slow
 def test_an_exponent_is_found_from_a_wrong_start(solved):
     assert solved.converged
     assert solved.undetermined == ()
@@ -79,6 +80,7 @@ def test_an_albedo_is_exact_at_once(relighter):
     np.testing.assert_allclose(lobes_of(found, "paper").diffuse, [0.7, 0, 0.4], atol=2e-6)
 
 
+@pytest.mark.slow
 def test_what_no_picture_tells_is_named(relighter):
     """A material that is masked out everywhere, and the strength of lights where all colours are sought."""
     image = picture(relighter, TRUE)

@@ -29,7 +29,11 @@ def picture(of: Scene, resolution: int) -> np.ndarray:
     return jr.prepare(of, jr.Prefiltered(map_rows=64, occlusion_resolution=resolution)).picture(background=False)
 
 
-@pytest.mark.parametrize("gloss", [jr.lambert([0.7, 0.5, 0.3]), jr.phong(0.2, 0.5, 40)], ids=["lambert", "phong"])
+@pytest.mark.parametrize(
+    "gloss",
+    [jr.lambert([0.7, 0.5, 0.3]), pytest.param(jr.phong(0.2, 0.5, 40), marks=pytest.mark.slow)],
+    ids=["lambert", "phong"],
+)
 def test_shadows_are_near_exact_transport(gloss, tmp_path: pathlib.Path):
     pixels = jr.Transport("pixels", resolution=16, coefficients="all")
     exact = jr.prepare(scene(gloss), pixels, tmp_path).picture(background=False)

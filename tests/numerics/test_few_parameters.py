@@ -34,6 +34,7 @@ def test_derivatives_are_those_of_the_function():
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_second_derivatives_and_those_of_others_alone():
     generator = np.random.default_rng(1)

@@ -29,7 +29,7 @@ def baked_at_use(transport, block):
     return from_visibility(block.operator, block.reflection, block, *stored)
 
 
-@pytest.mark.parametrize("kept", [24, pytest.param("shared", marks=pytest.mark.slow), "all"])
+@pytest.mark.parametrize("kept", [*(pytest.param(kept, marks=pytest.mark.slow) for kept in (24, "shared")), "all"])
 def test_products_are_those_of_written_rows(folder, kept):
     method = dataclasses.replace(METHOD, coefficients=kept, visibility_samples=4 if kept == "all" else 1)
     transport = precomputed(SCENE, method, folder)
