@@ -82,7 +82,7 @@ ENTRIES: Entries = (
         named("jaxrelight.inverse.lamp_targets", "PictureTarget.residual"),
         differentiable_in="radiance",
         example=lambda: Example(
-            lambda radiance: PictureTarget(*np.float32(numbers(2, 6))).residual(radiance),  # pyright: ignore[reportArgumentType]
+            lambda radiance: PictureTarget(*list(numbers(2, 6).astype(np.float32))).residual(radiance),  # pyright: ignore[reportArgumentType]
             (numbers(6),),
         ),
         dtypes="at least that of the targets",

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import pathlib
 import tempfile
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -83,10 +84,15 @@ def row(name: str, *, quick: bool) -> list[str]:
             "reverse": lambda: reverse(pixels, cotangent, arrays),
         }
         timings = interleaved(sides, 3 if quick else 9)
-        memory = [megabytes(one.memory_analysis().temp_size_in_bytes) for one in (made, forward, reverse)]
+        memory = [megabytes(_temporary(one)) for one in (made, forward, reverse)]
     base = timings["picture"]
     ratios = [f"{timings[mode].over(base):.2f}" for mode in ("forward", "reverse")]
     return [name, str(base), *ratios, *memory]
+
+
+def _temporary(program: Any) -> int:
+    """Bytes of a compiled program beside its arguments and results."""
+    return program.memory_analysis().temp_size_in_bytes
 
 
 if __name__ == "__main__":

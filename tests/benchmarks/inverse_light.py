@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -252,13 +253,14 @@ def descend(name: pathlib.Path, minutes: float):
 
     program, file = shared("reference", "render_reference.py"), shared("reference", f"{name}.toml")
     reference = _definitions(program)
+    render: Any = mi.render
     picture = jr.read_image(shared("reference", f"{name}_b0.exr"))
     shown = picture[..., 3] > 0.999
     truth = mi.TensorXf(picture[..., :3])
     mask = mi.TensorXf(np.repeat(shown[..., None], 3, axis=2).astype(np.float32))
     scene = reference["build"](file, 2)
     integrator = mi.load_dict({"type": "direct", "hide_emitters": False})
-    parameters = mi.traverse(scene)
+    parameters: Any = mi.traverse(scene)
     key = next(one for one, _ in parameters if one.endswith("env.data") or one.endswith(".data"))
     scale = next((one for one, _ in parameters if one.endswith("env.scale")), None)
     mean = float(picture[shown][:, :3].mean())
@@ -272,7 +274,7 @@ def descend(name: pathlib.Path, minutes: float):
         begun, best, at, step = time.perf_counter(), np.inf, 0.0, 0
         next_look = 5.0
         while time.perf_counter() - begun < 60 * minutes:
-            image = mi.render(scene, parameters, integrator=integrator, spp=16, seed=step)
+            image = render(scene, parameters, integrator=integrator, spp=16, seed=step)
             loss = dr.sum(dr.square((image[..., :3] - truth) * mask))
             dr.backward(loss)
             optimiser.step()
@@ -281,7 +283,7 @@ def descend(name: pathlib.Path, minutes: float):
             step += 1
             if time.perf_counter() - begun > next_look:
                 looked = time.perf_counter() - begun
-                judged = np.asarray(mi.render(scene, integrator=integrator, spp=256, seed=10**6))[..., :3]
+                judged = np.asarray(render(scene, integrator=integrator, spp=256, seed=10**6))[..., :3]
                 error = np.linalg.norm((judged - picture[..., :3])[shown]) / np.linalg.norm(picture[shown][:, :3])
                 if error < best:
                     best, at, line = error, looked, errors(judged[shown], picture[shown][:, :3])

@@ -495,7 +495,7 @@ def test_indices_take_the_smallest_type_that_holds_them(columns, dtype):
 def test_values_alone_may_be_many():
     """Rows of several operators under one light."""
     one, _ = sparse(4, 3, np.float32)
-    light = np.ones((D, 3), np.float32)
+    light: Any = np.ones((D, 3), np.float32)
     many = jax.tree.map(lambda leaf: np.stack([leaf, 2 * leaf]), one.values)
     together = jax.jit(jax.vmap(lambda values: eqx.tree_at(lambda of: of.values, one, values).apply(light)))(many)
     alone = np.asarray(one.apply(light))

@@ -9,8 +9,8 @@ from jaxrelight.operators.sparse_matrix import sparse_matrix
 from tests.operators.derivatives import check_derivatives
 
 # Rows of many numbers, of few, and of none; columns of none.
-MATRIX = sparse.random_array((11, 8), density=0.4, rng=np.random.default_rng(0), format="csr")
-MATRIX = sparse.csr_array(sparse.diags_array(np.arange(11) % 4.0) @ MATRIX @ sparse.diags_array(np.arange(8) % 3.0))
+SPARSE = sparse.random_array((11, 8), density=0.4, rng=np.random.default_rng(0), format="csr")
+MATRIX = sparse.csr_array(sparse.diags_array(np.arange(11) % 4.0) @ SPARSE @ sparse.diags_array(np.arange(8) % 3.0))
 X, Y = np.random.default_rng(1).normal(size=(8, 3)), np.random.default_rng(2).normal(size=(11, 3))
 
 
