@@ -111,6 +111,7 @@ def test_a_known_material_tells_how_strong_lights_are(relighter):
     np.testing.assert_allclose(lobes_of(found, "paper").diffuse, [0.7, 0.6, 0.4], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_intervals_follow_the_noise(relighter):
     """Twice the noise is twice as wide, whether deviations are given or told by the residual."""
     image = picture(relighter, TRUE)
