@@ -5,7 +5,7 @@ import functools
 import numpy as np
 
 from jaxrelight.basis.haar import HaarFaces
-from jaxrelight.gradients.entry import FILES, HOST, Entries, Entry, Example, Exempt, named
+from jaxrelight.gradients.entry import FILES, HOST, RAYS, Entries, Entry, Example, Exempt, named
 from jaxrelight.gradients.examples import numbers
 from jaxrelight.inverse.light_grid import LightGrid
 from jaxrelight.operators.sparse_matrix import sparse_matrix
@@ -57,16 +57,19 @@ ENTRIES: Entries = (
             *named(
                 f"{_INVERSE}.light_certainty",
                 "LightCertainty.details LightCertainty.of_mean LightCertainty.texel_deviations "
-                "LightCertainty.texel_shares certainty_of is_seen",
+                "LightCertainty.texel_shares certainty_of",
             ),
             *named(
                 f"{_INVERSE}.light_grid",
                 "LightGrid.directions LightGrid.on_grid LightGrid.solid_angles LightGrid.spectrum light_grid",
             ),
             *named(f"{_INVERSE}.light_problem", "right_side weights_of"),
-            *named(f"{_INVERSE}.light_solve", "constrained is_converged ridge_weights spectrum_of"),
+            *named(f"{_INVERSE}.light_setup", "LightTask.judged LightTask.missed light_task"),
+            *named(f"{_INVERSE}.light_solver", "LightSolver.back LightSolver.product LightSolver.solve"),
+            *named(f"{_INVERSE}.light_regularisation", "constrained is_converged ridge_of ridge_weights spectrum_of"),
         ),
         HOST,
     ),
     Exempt((f"{_INVERSE}.light_report.write_light_report",), FILES),
+    Exempt((f"{_INVERSE}.views.views_of",), RAYS),
 )

@@ -8,12 +8,12 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxrelight.errors import InputError
 from jaxrelight.inverse.bidiagonalisation import Bidiagonal
 from jaxrelight.inverse.light_grid import LightGrid
-from jaxrelight.inverse.light_solve import Spectrum
+from jaxrelight.inverse.light_regularisation import Spectrum
 
 # A mean of the light is told where pictures take away this share of its variance, or more.
 DETERMINED = 0.9
@@ -153,8 +153,3 @@ def certainty_of(
     V = np.stack([v[: grid.size] for v in state.V])
     seen = np.einsum("kmc,kjc,jc->jmc", V, spectrum.right, share, optimize=True)
     return LightCertainty(grid, deviations, seen.astype(np.float32), noise / strength, spectrum.values, strength)
-
-
-def is_seen(shares: Float[np.ndarray, "d 3"]) -> Bool[np.ndarray, " d"]:
-    """Texels of which pictures tell most, on average over the channels."""
-    return shares.mean(axis=1) >= 0.5

@@ -14,6 +14,9 @@ from jaxrelight.inverse.observations import Observed
 from jaxrelight.lighting.contract import Relighter
 from jaxrelight.lights.environment import Environment
 
+# Divisors of pictures whose exposure is unknown are so many times as large as that of the first, or less.
+_EXPOSURE_RANGE = 3.0
+
 
 class LightProblem(eqx.Module):
     """What unknown light is rendered and compared with. Unknowns are [m, 3]: wavelet coefficients, lamps, exposures.
@@ -56,7 +59,7 @@ class LightProblem(eqx.Module):
         """Radiance of the texels, factors on the lamps, and divisors of pictures' radiance."""
         d, lamps = self.grid.size, self.lamp_count
         texels = self.grid.texels(unknowns[:d] * self.deviations[:, None])
-        return texels, unknowns[d : d + lamps], unknowns[d + lamps :]
+        return texels, unknowns[d : d + lamps], unknowns[d + lamps :] * _EXPOSURE_RANGE
 
 
 def rendered(problem: LightProblem, texels: Float[Array, "d 3"], lamps: Float[Array, "l 3"]) -> list[Array]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxrelight.inverse.bidiagonalisation import begin, step
-from jaxrelight.inverse.light_solve import is_converged, ridge_weights, spectrum_of
+from jaxrelight.inverse.light_regularisation import is_converged, ridge_weights, spectrum_of
 
 RANDOM = np.random.default_rng(0)
 # Singular values over four decades, of a map for each channel.

@@ -3,7 +3,6 @@
 import dataclasses
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 
@@ -183,10 +182,12 @@ def test_grids(unknowns):
         ({"hold_out": 0.0}, "held out"),
         ({"max_steps": 0}, "max_steps"),
         ({"lamps": LIGHT}, "what is sought"),
+        ({"lamps": jr.even_sky(16)}, "cannot be unknown"),
+        ({"pictures": [np.zeros((18, 24, 3), np.float32)]}, "are black"),
         ({"views": [None, None]}, "2 views"),
         ({"pictures": [np.full((18, 24, 3), np.nan, np.float32)]}, "not finite"),
     ],
-    ids=[*"abcdefghijk"],
+    ids=[*"abcdefghijklm"],
 )
 def test_bad_input_is_one_line(relighter, wrong_types, given, message):
     arguments: dict = {"pictures": [np.ones((18, 24, 3), np.float32)], **given}
@@ -196,11 +197,71 @@ def test_bad_input_is_one_line(relighter, wrong_types, given, message):
 
 
 @pytest.mark.slow
-def test_a_relighter_for_lamps_is_refused():
+@pytest.mark.parametrize(
+    "method",
+    [
+        jr.Transport("vertices", resolution=8),
+        jr.Transport("pixels", resolution=8, bounces=1),
+        jr.Prefiltered(),
+        jr.Indirect(bounces=1, sky=True, gather_samples=256),
+    ],
+    ids=["vertices", "bounces", "prefiltered", "indirect"],
+)
+def test_every_method_under_which_light_is_linear_serves(method):
+    other = jr.prepare(ball_over_floor(jr.phong([0.3, 0.2, 0.1], 0.4, 20.0), CAMERA, quads=(4, 8)), method)
+    view, lit = other.view(), other.light(LIGHT)
+    picture = np.asarray(other.shade(lit, view, other.trace(lit, view)).radiance)
+    found = environment(other, [picture], [view], unknowns=2)
+    assert found.residual < 1e-3
+
+
+@pytest.mark.slow
+def test_what_is_approximate_is_told(relighter, view):
+    picture = pictured(relighter, view)
+    assert environment(relighter, [picture], [view], unknowns=2).notes == ()
+    few = environment(relighter, [picture], [view], unknowns=2, max_steps=4)
+    assert not few.converged
+    assert "stopped after 4 steps" in few.notes[0]
+    one = np.zeros(picture.shape[:2], bool)
+    one[10, 12] = True
+    alone = environment(relighter, [picture], [view], unknowns=2, masks=[one])
+    assert alone.held_out is None
+    assert "held out" in alone.notes[0]
+    dark = picture - 0.5 * picture.mean() * (np.arange(24)[None, :, None] > 12)
+    signed = environment(relighter, [dark.astype(np.float32)], [view], unknowns=2, not_negative=False)
+    assert signed.texels.min() < 0 <= np.asarray(signed.environment.pixels).min()
+    assert "negative" in signed.notes[-1]
+
+
+@pytest.mark.slow
+def test_a_channel_without_light_is_black(relighter, view):
+    found = environment(relighter, [pictured(relighter, view) * np.float32([1, 0, 0])], [view], unknowns=2)
+    assert not found.texels[:, 1:].any()
+    assert found.certainty.told[1:] == (0, 0)
+    assert found.residual < 2e-3
+
+
+@pytest.mark.slow
+def test_lower_bounds_keep_what_is_asked_of_light(relighter, view):
+    """Under a sparse prior, too; and pixels that are held out judge as bounds."""
+    picture = pictured(relighter, view)
+    top = float(np.quantile(picture, 0.97))
+    cut = np.minimum(picture, np.float32(top))
+    found = environment(relighter, [cut], [view], unknowns=2, saturation=top, prior="sparse")
+    assert found.texels.min() >= 0
+    assert found.residual < 0.01
+    bright = int(np.argmax(TEXELS.sum(axis=1)))
+    assert found.texels[bright].max() > 0.5 * TEXELS[bright].max()
+
+
+@pytest.mark.slow
+def test_relighters_that_choose_by_the_light_are_refused():
     scene = ball_over_floor(jr.lambert(0.5), CAMERA)
     indirect = jr.prepare(scene, jr.Indirect(bounces=1, gather_samples=64))
     with pytest.raises(InputError, match="sky=True"):
         environment(indirect, [np.ones((18, 24, 3), np.float32)])
+    with pytest.raises(InputError, match="for one light"):
+        environment(jr.prepare(scene, jr.Adaptive()), [np.ones((18, 24, 3), np.float32)])
 
 
 @pytest.mark.slow
@@ -213,4 +274,3 @@ def test_nothing_is_compiled_for_other_pictures(relighter, view):
     with compilations() as compiled:
         environment(relighter, [np.ascontiguousarray(picture[:, ::-1])], [view], **dials)
     assert not compiled
-    assert jax.devices()

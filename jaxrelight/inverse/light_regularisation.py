@@ -53,6 +53,18 @@ def ridge_weights(spectrum: Spectrum, strength: float) -> Float[np.ndarray, "k c
     return np.einsum("kjc,jc->kc", spectrum.right, filtered)
 
 
+def ridge_of(state: Bidiagonal, gradient: Float[np.ndarray, "m c"], strength: float) -> Float[np.ndarray, "m c"]:
+    """(V BᵀB Vᵀ + strength²)⁻¹ of any gradient, in the span of V."""
+    shares = np.stack([np.einsum("mc,mc->c", v, gradient) for v in state.V])
+    if state.joint:
+        shares = np.broadcast_to(shares.sum(axis=1, keepdims=True), shares.shape)
+    weights = np.zeros_like(shares)
+    for channel in range(shares.shape[1]):
+        B = state.matrix(channel)
+        weights[:, channel] = np.linalg.solve(B.T @ B + strength**2 * np.eye(B.shape[1]), shares[:, channel])
+    return state.mixed(weights)
+
+
 @dataclasses.dataclass(frozen=True)
 class Constraint:
     """What is asked of unknowns beside least squares.
