@@ -13,6 +13,7 @@ The public names, each loaded when it is first used:
     lighting    prepare, open_store, Relighter, Image, LightLayers, measure, Measurement
     operators   Operator, Dense, SparseRows, Clustered, Stacked, as_lineax, sharded
     images      read_image, write_image, tone_map, auto_exposure, image_error
+    inverse     inverse.environment, inverse.materials, inverse.lamps: light, materials and lamps from pictures
     speed       keep_compilations
     errors      InputError
     version     __version__
@@ -61,12 +62,14 @@ _HOMES = {
     "errors": ("InputError",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted([*_HOME_OF, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = sorted([*_HOME_OF, "inverse", "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("jaxrelight")
+    if name == "inverse":
+        return importlib.import_module("jaxrelight.inverse")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'jaxrelight' has no attribute '{name}'")
     return getattr(importlib.import_module(f"jaxrelight.{_HOME_OF[name]}"), name)

@@ -24,8 +24,6 @@ import numpy as np
 
 import jaxrelight as jr
 from jaxrelight.images.false_colour import false_colour
-from jaxrelight.inverse.lamp_targets import LuxTarget
-from jaxrelight.inverse.lamps import lamps
 
 short = bool(os.environ.get("SHORT"))
 folder = pathlib.Path(tempfile.mkdtemp())
@@ -74,8 +72,8 @@ for name, told in before.summaries().items():
 # and rays are cast anew after it; several starts tell how far the result depends on where it begins.
 
 # %%
-targets = {"desk": LuxTarget(mean=500, uniformity=0.8), "corridor": LuxTarget(min=100, max=200)}
-found = lamps(
+targets = {"desk": jr.inverse.LuxTarget(mean=500, uniformity=0.8), "corridor": jr.inverse.LuxTarget(min=100, max=200)}
+found = jr.inverse.lamps(
     relighter,
     targets,
     free=["intensity", "aim", "cone"],

@@ -22,7 +22,6 @@ import tempfile
 import numpy as np
 
 import jaxrelight as jr
-from jaxrelight.inverse.environment import environment
 from jaxrelight.inverse.light_report import write_light_report
 
 SHORT = bool(os.environ.get("SHORT"))
@@ -66,7 +65,7 @@ picture = (clean + noise).astype(np.float32)
 # Least squares through products with the map from light to picture, and with its adjoint.
 
 # %%
-found = environment(relighter, [picture], [view], unknowns=8 if SHORT else 16)
+found = jr.inverse.environment(relighter, [picture], [view], unknowns=8 if SHORT else 16)
 print(f"misses {found.residual:.2%}, and {found.held_out:.2%} of pixels that were held out")
 print(f"tells {min(found.certainty.told)} of {found.certainty.grid.size} numbers, {found.seconds:.1f} s")
 

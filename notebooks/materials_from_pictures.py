@@ -25,8 +25,6 @@ import jaxrelight as jr
 from jaxrelight.brdf.material import textured_lambert
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.geometry.mesh import transformed
-from jaxrelight.inverse.material_unknowns import Unknown
-from jaxrelight.inverse.materials import materials
 
 short = bool(os.environ.get("SHORT"))
 width, height, resolution, texels = (48, 36, 8, 8) if short else (192, 144, 32, 48)
@@ -95,7 +93,7 @@ def pixels_of(name):
     return mask.reshape(height, width)
 
 
-ball = materials(
+ball = jr.inverse.materials(
     relighter,
     [picture],
     lights=lights,
@@ -116,11 +114,11 @@ assert abs(exponent.value.item() - 30) < 4 * exponent.deviation.item() + 0.1
 # The picture is linear in it. Texels under the ball, or that no pixel sees, are counted as not told.
 
 # %%
-floor = materials(
+floor = jr.inverse.materials(
     relighter.with_materials(ball.materials),
     [picture],
     lights=lights,
-    unknowns={"floor": Unknown(jr.lambert(0.5), textures={"albedo": (texels, texels)})},
+    unknowns={"floor": jr.inverse.Unknown(jr.lambert(0.5), textures={"albedo": (texels, texels)})},
     masks=[pixels_of("floor")],
 )
 albedo = floor.estimates["floor.albedo"]

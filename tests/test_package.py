@@ -12,6 +12,7 @@ import sys
 import pytest
 
 import jaxrelight
+from jaxrelight import inverse
 
 ROOT = pathlib.Path(jaxrelight.__file__).parent
 
@@ -162,10 +163,23 @@ def _graph() -> dict[str, set[str]]:
 
 def test_public_names_are_those_documented():
     """The package's page lists each of them once, behind the topic that it belongs to."""
-    assert set(jaxrelight.__all__) == {*PUBLIC, "__version__"} == set(dir(jaxrelight))
+    assert set(jaxrelight.__all__) == {*PUBLIC, "inverse", "__version__"} == set(dir(jaxrelight))
     assert jaxrelight.__doc__ is not None
     listed = [line[16:] for line in jaxrelight.__doc__.splitlines() if line.startswith("    ")]
-    assert sorted(re.findall(r"\w+", " ".join(listed))) == sorted(jaxrelight.__all__)
+    listed = [line for line in listed if not line.startswith("inverse.")]
+    assert sorted(re.findall(r"\w+", " ".join(listed))) == sorted({*jaxrelight.__all__} - {"inverse"})
+
+
+def test_public_names_of_inverse_problems():
+    """Its page lists each of them once, they load, and the package's own page names the verbs."""
+    assert inverse.__doc__ is not None
+    assert jaxrelight.__doc__ is not None
+    listed = [line[16:] for line in inverse.__doc__.splitlines() if line.startswith("    ")]
+    assert sorted(re.findall(r"\w+", " ".join(listed))) == sorted(inverse.__all__) == sorted(dir(inverse))
+    assert all(getattr(inverse, name).__name__ == name for name in inverse.__all__)
+    assert all(f"inverse.{name}" in jaxrelight.__doc__ for name in inverse.__all__ if name.islower())
+    with pytest.raises(AttributeError, match="has no attribute 'light'"):
+        _ = inverse.light
 
 
 def test_version_is_that_of_the_installed_package():

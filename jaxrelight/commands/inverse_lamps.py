@@ -15,7 +15,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.timing import timed
 
 if TYPE_CHECKING:
-    from jaxrelight.inverse.lamps import InverseLamps
+    from jaxrelight.inverse.solve_lamps import InverseLamps
     from jaxrelight.lighting.contract import Relighter
     from jaxrelight.methods import Method
     from jaxrelight.scene.scene import Scene
@@ -54,7 +54,7 @@ class InverseLampsCommand:
             with timed(seconds, "imports"):
                 from jaxrelight.commands.pictures import describe, prepared
                 from jaxrelight.inverse.lamp_files import read_lamp_task
-                from jaxrelight.inverse.lamps import lamps
+                from jaxrelight.inverse.solve_lamps import lamps
                 from jaxrelight.progress import notes, progress
                 from jaxrelight.scene.light_text import check_writable_lights, lights_text
                 from jaxrelight.scene.mesh_scene import open_scene

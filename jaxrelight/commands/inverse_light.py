@@ -13,7 +13,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.timing import timed
 
 if TYPE_CHECKING:
-    from jaxrelight.inverse.environment import InverseLight
+    from jaxrelight.inverse.solve_light import InverseLight
     from jaxrelight.lighting.contract import Relighter
     from jaxrelight.progress import Report
 
@@ -70,8 +70,8 @@ class InverseLightCommand:
             with timed(seconds, "imports"):
                 from jaxrelight.commands.pictures import describe
                 from jaxrelight.images import check_writable, write_image
-                from jaxrelight.inverse.environment import environment
                 from jaxrelight.inverse.light_report import write_light_report
+                from jaxrelight.inverse.solve_light import environment
                 from jaxrelight.progress import notes, progress
 
                 import_modules(self.modules)

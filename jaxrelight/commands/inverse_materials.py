@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jaxrelight.brdf.lobes import LobeSum
     from jaxrelight.brdf.material import Material
     from jaxrelight.inverse.material_certainty import Estimate
-    from jaxrelight.inverse.materials import InverseMaterials
+    from jaxrelight.inverse.solve_materials import InverseMaterials
     from jaxrelight.methods import Method
     from jaxrelight.scene.scene import Scene
 
@@ -74,7 +74,7 @@ class InverseMaterialsCommand:
             with timed(seconds, "imports"):
                 from jaxrelight.commands.pictures import describe, prepared
                 from jaxrelight.images import read_image
-                from jaxrelight.inverse.materials import materials
+                from jaxrelight.inverse.solve_materials import materials
                 from jaxrelight.progress import notes, progress
                 from jaxrelight.scene.mesh_scene import open_scene
 

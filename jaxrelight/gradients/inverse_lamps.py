@@ -105,7 +105,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.inverse.lamp_problem", "traced_bits"),
             *named("jaxrelight.inverse.lamp_response", "LampResponse.trace make_response"),
             *named("jaxrelight.inverse.lamp_setup", "make_problem"),
-            *named("jaxrelight.inverse.lamps", "lamps"),
+            *named("jaxrelight.inverse.solve_lamps", "lamps"),
         ),
         RAYS,
     ),

@@ -53,7 +53,7 @@ ENTRIES: Entries = (
             *named(
                 f"{_INVERSE}.bidiagonalisation", "Bidiagonal.gradient Bidiagonal.matrix Bidiagonal.mixed begin step"
             ),
-            *named(f"{_INVERSE}.environment", "InverseLight.estimate InverseLight.lights environment"),
+            *named(f"{_INVERSE}.solve_light", "InverseLight.estimate InverseLight.lights environment"),
             *named(
                 f"{_INVERSE}.light_certainty",
                 "LightCertainty.details LightCertainty.of_mean LightCertainty.texel_deviations "

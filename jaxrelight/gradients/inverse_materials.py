@@ -50,7 +50,7 @@ ENTRIES: Entries = (
     Exempt(
         (
             *named("jaxrelight.inverse.material_certainty", "Estimate.width certainty_of_few certainty_of_many"),
-            *named("jaxrelight.inverse.materials", "materials"),
+            *named("jaxrelight.inverse.solve_materials", "materials"),
             *named("jaxrelight.inverse.material_unknowns", "Parameter.values Unknowns.start unknowns_of"),
             *named("jaxrelight.inverse.observations", "observe relative_residual"),
         ),

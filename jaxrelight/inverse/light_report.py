@@ -10,9 +10,9 @@ from jaxrelight.images import write_image
 from jaxrelight.images.false_colour import false_colour
 from jaxrelight.images.figures import log_bars, side_by_side
 from jaxrelight.images.tone import auto_exposure
-from jaxrelight.inverse.environment import InverseLight
 from jaxrelight.inverse.light_grid import LightGrid
 from jaxrelight.inverse.observations import Picture
+from jaxrelight.inverse.solve_light import InverseLight
 
 
 def write_light_report(folder: pathlib.Path, found: InverseLight, pictures: list[Picture]) -> dict[str, str]:

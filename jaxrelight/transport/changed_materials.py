@@ -150,7 +150,10 @@ def _diffuse_block(transport: PrecomputedTransport, block: Block, part: DiffuseP
     old, albedo, weight = block.brdf, as_array(part.albedo), pack_weight(part.weight)
     assert isinstance(old, LobeSum)
     if is_traced(old.diffuse) or np.all(np.asarray(old.diffuse) != 0):
-        ratio = albedo / as_array(old.diffuse)
+        before = as_array(old.diffuse)
+        # Of a black channel that is traced, nobody knows in time that rows have to be made: only black is right there.
+        unknown = jnp.where(albedo == 0, 0, jnp.nan)
+        ratio = jnp.where(before == 0, unknown, albedo / jnp.where(before == 0, 1, before))
         return dataclasses.replace(block, weight=(constant(ratio, ratio.dtype), *weight))
     # Rows of a black channel tell nothing of another one: white ones are made in their place.
     white = white_lambert(old.diffuse.dtype)

@@ -31,8 +31,7 @@ or parts that it is made of.
 MIDDLE = """
 ## Without derivatives
 
-| why | functions |
-|---|---|
+By the reason why not, and by module.
 """
 
 
@@ -53,7 +52,14 @@ def _exempt(all_of_them: list[Exempt]) -> Iterator[str]:
     for entry in all_of_them:
         by_reason.setdefault(entry.why, []).extend(entry.names)
     for why, names in by_reason.items():
-        yield f"| {why} | {_names(tuple(names))} |"
+        yield f"\n**{why[0].upper()}{why[1:]}**\n"
+        by_module: dict[str, list[str]] = {}
+        for name in names:
+            *module, last = name.removeprefix("jaxrelight.").split(".")
+            owner = module.pop() if module[-1][0].isupper() else None
+            by_module.setdefault(".".join(module), []).append(f"{owner}.{last}" if owner else last)
+        for module, own in by_module.items():
+            yield f"- `{module}`: {', '.join(f'`{name}`' for name in own)}"
 
 
 def page() -> str:

@@ -96,7 +96,7 @@ def child(folder: str, samples: int, starts: int, lamps: list | None = None):
     """Precomputes and solves; or, of lamps that were found, precomputes another cloud and measures."""
     import jaxrelight as jr
     from jaxrelight.inverse.lamp_targets import LuxTarget
-    from jaxrelight.inverse.lamps import lamps as solve
+    from jaxrelight.inverse.solve_lamps import lamps as solve
 
     mesh, materials, origin, target, fov_y, _ = CASES["staircase"]
     camera, _, others = scene_text(mesh, materials, origin, target, fov_y, 1e30).partition("[environment]")

@@ -18,10 +18,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrelight as jr
-from jaxrelight.inverse.environment import InverseLight, environment
 from jaxrelight.inverse.light_problem import adjoint, applied
 from jaxrelight.inverse.light_setup import light_task
 from jaxrelight.inverse.light_solver import LightSolver
+from jaxrelight.inverse.solve_light import InverseLight, environment
 from tests.benchmarks.measuring import Report, percent, shared
 
 SCENES = {"bunny_lambert": "Lambert", "bunny_phong": "Phong 50"}

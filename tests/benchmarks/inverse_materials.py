@@ -129,7 +129,7 @@ def intervals(report: Report, draws: int, folder: pathlib.Path):
     """Eight numbers of a Lafortune lobe from one noisy picture, again and again."""
     import jaxrelight as jr
     from jaxrelight.inverse.material_unknowns import Unknown
-    from jaxrelight.inverse.materials import materials
+    from jaxrelight.inverse.solve_materials import materials
 
     true = jr.lobe_sum([0.2, 0.15, 0.1], [jr.lobe([-1.0, -1.0, 0.9], 18, peak=[0.9, 0.7, 0.5])])
     truth = {
@@ -179,7 +179,7 @@ def shadow(report: Report, quick: bool, folder: pathlib.Path):
     from jaxrelight.brdf.material import textured_lambert, white_lambert
     from jaxrelight.brdf.texture import Texture
     from jaxrelight.inverse.material_unknowns import Unknown
-    from jaxrelight.inverse.materials import materials
+    from jaxrelight.inverse.solve_materials import materials
 
     rows, columns = (8, 8) if quick else (32, 32)
     v, u = (np.mgrid[:rows, :columns] + 0.5) / rows

@@ -12,7 +12,7 @@ from jaxrelight import InputError
 from jaxrelight.brdf.lobes import LobeSum
 from jaxrelight.commands.inverse_materials import InverseMaterialsCommand, write_materials
 from jaxrelight.images import write_image
-from jaxrelight.inverse.materials import InverseMaterials
+from jaxrelight.inverse.solve_materials import InverseMaterials
 from jaxrelight.scene.scene_file import load_scene
 
 SCENE = """

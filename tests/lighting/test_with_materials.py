@@ -114,6 +114,21 @@ def test_a_black_channel_may_become_bright(of_pixels, tmp_path):
     np.testing.assert_allclose(paper.mean(axis=0), paper.mean(), rtol=0.05)
 
 
+def test_of_a_black_channel_that_is_traced_only_black_is_known(of_pixels):
+    """Its rows cannot be made in time; nothing else becomes NaN."""
+    view, lit = of_pixels.view(), of_pixels.light(SKY)
+
+    @jax.jit
+    def picture(relighter, albedo):
+        return relighter.with_materials({"paper": jr.lambert(albedo)}).shade(lit, view).radiance
+
+    still = np.asarray(picture(of_pixels, jnp.asarray([0.5, 0.0, 0.5])))
+    np.testing.assert_allclose(still, of_pixels.shade(lit, view).radiance, rtol=1e-5, atol=1e-6)
+    bright = np.asarray(picture(of_pixels, jnp.asarray([0.5, 0.5, 0.5])))
+    np.testing.assert_array_equal(bright[..., [0, 2]], still[..., [0, 2]])
+    assert np.isnan(bright[..., 1]).any()
+
+
 def test_an_albedo_is_a_factor_on_light_terms(of_pixels):
     """Nothing of light is made anew, and the picture is linear in a texture."""
     changed = of_pixels.with_materials({"gloss": BEFORE["gloss"]})

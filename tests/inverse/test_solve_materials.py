@@ -11,7 +11,7 @@ from jaxrelight import InputError
 from jaxrelight.brdf.material import textured_lambert
 from jaxrelight.brdf.texture import Texture
 from jaxrelight.inverse.material_unknowns import Unknown, unknowns_of
-from jaxrelight.inverse.materials import InverseMaterials, materials
+from jaxrelight.inverse.solve_materials import InverseMaterials, materials
 from tests.scenes import ball_over_floor
 
 CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.3, 0), fov_y=45, width=16, height=12)

@@ -9,7 +9,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Camera, InputError, Part, Scene, Sensor
 from jaxrelight.inverse.lamp_targets import LuxTarget
-from jaxrelight.inverse.lamps import lamps
+from jaxrelight.inverse.solve_lamps import lamps
 from tests.compilations import compilations
 from tests.scenes import raised, room
 

@@ -8,8 +8,8 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.errors import InputError
-from jaxrelight.inverse.environment import environment
 from jaxrelight.inverse.light_grid import light_grid
+from jaxrelight.inverse.solve_light import environment
 from tests.scenes import ball_over_floor
 
 CAMERA = jr.Camera((0.4, 1.2, 2.2), (0.0, 0.2, 0), fov_y=50, width=24, height=18)

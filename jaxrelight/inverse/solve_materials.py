@@ -19,6 +19,7 @@ from jaxrelight.inverse.material_certainty import Estimate, certainty_of_few, ce
 from jaxrelight.inverse.material_fit import FEW, LIGHT, Problem, Scene, curvature_at, rendered, search, solve_many
 from jaxrelight.inverse.material_unknowns import Coordinates, Unknown, Unknowns, unknowns_of
 from jaxrelight.inverse.observations import Picture, observe, relative_residual
+from jaxrelight.inverse.views import views_of
 from jaxrelight.lighting.contract import Relighter
 from jaxrelight.lights.lights import Lights, LightsLike, as_lights
 from jaxrelight.methods import Indirect
@@ -186,19 +187,7 @@ def _scene(
 ) -> tuple[tuple, tuple, tuple, Relighter]:
     """Views, lights and what is traced of both for every picture, and the relighter with the materials of the start."""
     prepared = relighter.with_materials(unknowns.materials(unknowns.start()), bounces=bounces)
-    by_picture = list(views) if isinstance(views, list | tuple) else [views] * count
-    if len(by_picture) != count:
-        raise InputError(f"{len(by_picture)} views were given for {count} pictures; give one for each, or one for all")
-    known: dict[Any, Any] = {}
-
-    def view_of(one):
-        if one is not None and not isinstance(one, Camera):
-            return one
-        if one not in known:
-            known[one] = relighter.view(one)
-        return known[one]
-
-    seen = tuple(view_of(one) for one in by_picture)
+    seen = views_of(relighter, views, count)
     if isinstance(lights, list | tuple) and lights and all(isinstance(one, Lights) for one in lights):
         if len(lights) != count:
             raise InputError(f"{len(lights)} lights were given for {count} pictures; give one for each, or one for all")

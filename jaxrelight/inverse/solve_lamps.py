@@ -121,8 +121,8 @@ def lamps(
 ) -> InverseLamps:
     """Solves for lamps such that sensors meet targets of illuminance, or a picture that of a painted one.
 
-        relighter = prepare(scene.at_sensors(), Indirect())
-        found = inverse.lamps(relighter, {"desk": LuxTarget(mean=500, uniformity=0.6)}, free=["intensity", "aim"])
+        targets = {"desk": LuxTarget(mean=500, uniformity=0.6)}
+        found = lamps(prepare(scene.at_sensors(), Indirect()), targets, free=["intensity", "aim"])
 
     Args:
         relighter: prepared of a scene at its sensors (`Scene.at_sensors`), or for a picture of its camera.
