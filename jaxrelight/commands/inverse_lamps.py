@@ -4,12 +4,24 @@ import csv
 import dataclasses
 import math
 import pathlib
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
 from jaxrelight.commands.dials import method_of
-from jaxrelight.commands.options import Json, LightOptions, Modules, ScenePath, Up, import_modules
+from jaxrelight.commands.options import (
+    Json,
+    LightOptions,
+    LinearLighting,
+    Modules,
+    ReportFolder,
+    ScenePath,
+    StoreFolder,
+    Up,
+    check_toml,
+    import_modules,
+    make_folder,
+)
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
 from jaxrelight.timing import timed
@@ -17,8 +29,6 @@ from jaxrelight.timing import timed
 if TYPE_CHECKING:
     from jaxrelight.inverse.solve_lamps import InverseLamps
     from jaxrelight.lighting.contract import Relighter
-    from jaxrelight.methods import Method
-    from jaxrelight.scene.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,12 +44,11 @@ class InverseLampsCommand:
     """A .toml file of [[target]] by sensors, or of a picture, and of [[lamp]]: what is free."""
     output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """A .toml file for the lamps found, as [[light]] that --lights of other commands read."""
-    lighting: Literal["auto", "transport", "indirect", "prefiltered"] = "auto"
+    lighting: LinearLighting = "auto"
     """The lighting method, as for `render` and `measure`."""
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
-    store: pathlib.Path | None = None
-    """The store's folder; by default one in the user's cache folder."""
-    report: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="DIR")] = None
+    store: StoreFolder = None
+    report: ReportFolder = None
     """A folder for tables of targets and unknowns, and of a picture its target, what was found and the difference."""
     up: Up = "y"
     modules: Modules = ()
@@ -65,12 +74,13 @@ class InverseLampsCommand:
                 scene = open_scene(self.scene, zero_nonfinite=self.light.zero_nonfinite, up=self.up)
                 lights = self.light.lights(scene.lights, scene.emits)
                 scene = scene.at_sensors() if task.is_of_sensors else scene
-            self._check_outputs()
+            check_toml(self.output, "lamps")
+            make_folder("--report", self.report)
             if self.output is not None:
                 check_writable_lights(lights.local)
             notes(dict.fromkeys((*scene.notes, *lights.notes)))
             with progress(self.json) as report:
-                relighter = prepared(scene, self._method(scene), self.store, report, summary, seconds)
+                relighter = prepared(scene, method_of(self), self.store, report, summary, seconds)
                 with timed(seconds, "solve"):
                     found = lamps(
                         relighter,
@@ -96,27 +106,6 @@ class InverseLampsCommand:
             summary |= {"residual": found.residual, "starts": list(found.starts)}
             summary |= {"undetermined": list(found.undetermined), "held_fixed": list(found.held_fixed)}
             summary |= describe(relighter)
-
-    def _method(self, scene: "Scene") -> "Method":
-        """With the dials of the command line, where those were added; else the method as it is by default."""
-        if hasattr(self, "dials"):
-            return method_of(self)
-        from jaxrelight.lighting.prepare import default_method
-        from jaxrelight.methods import METHODS
-
-        return default_method(scene) if self.lighting == "auto" else METHODS[self.lighting]()
-
-    def _check_outputs(self) -> None:
-        """Refuses, before long work, what cannot be written."""
-        if self.output is not None and self.output.suffix.lower() != ".toml":
-            raise InputError(f"{self.output}: lamps are written as .toml; name such a file")
-        if self.output is not None and not self.output.parent.is_dir():
-            raise InputError(f"{self.output}: there is no folder {self.output.parent}; make it, or name another one")
-        if self.report is not None:
-            try:
-                self.report.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"--report {self.report}: {error.strerror}") from None
 
 
 def told(found: "InverseLamps") -> dict[str, Any]:

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 
 from jaxrelight.commands.dials import method_of
-from jaxrelight.commands.options import Json, Modules, Up, import_modules
+from jaxrelight.commands.options import (
+    Json,
+    LinearLighting,
+    Modules,
+    ReportFolder,
+    StoreFolder,
+    Up,
+    import_modules,
+    make_folder,
+)
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
 from jaxrelight.timing import timed
@@ -51,11 +60,10 @@ class InverseLightCommand:
     """A picture that is white where pixels count."""
     hold_out: float = 0.1
     """The share of pixels that is not fitted, which chooses how smooth the light is and tells the error."""
-    lighting: Literal["auto", "transport", "indirect", "prefiltered"] = "auto"
+    lighting: LinearLighting = "auto"
     """The lighting method, as for `render`."""
-    store: pathlib.Path | None = None
-    """The store's folder; by default one in the user's cache folder."""
-    report: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="DIR")] = None
+    store: StoreFolder = None
+    report: ReportFolder = None
     """A folder for pictures of the fit, of the light, and of what is told of it."""
     up: Up = "y"
     modules: Modules = ()
@@ -79,8 +87,7 @@ class InverseLightCommand:
                 if self.output.suffix.lower() not in (".exr", ".hdr"):
                     raise InputError(f"{self.output}: radiance is written as .exr or .hdr; name such a file")
                 check_writable(self.output)
-            if self.report is not None:
-                _make_folder(self.report)
+            make_folder("--report", self.report)
             with timed(seconds, "load"):
                 pictures, masks = self._read()
             with progress(self.json) as report:
@@ -192,10 +199,3 @@ def lines_of(found: "InverseLight") -> list[str]:
     if (found.exposures != 1).any():
         lines += [f"picture {n}: times {', '.join(f'{of:.4g}' for of in e)}" for n, e in enumerate(found.exposures, 1)]
     return lines
-
-
-def _make_folder(folder: pathlib.Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--report {folder}: {error.strerror}") from None

@@ -3,12 +3,24 @@
 import dataclasses
 import math
 import pathlib
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
 from jaxrelight.commands.dials import method_of
-from jaxrelight.commands.options import Json, LightOptions, Modules, ScenePath, Up, import_modules
+from jaxrelight.commands.options import (
+    Json,
+    LightOptions,
+    LinearLighting,
+    Modules,
+    ReportFolder,
+    ScenePath,
+    StoreFolder,
+    Up,
+    check_toml,
+    import_modules,
+    make_folder,
+)
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
 from jaxrelight.timing import timed
@@ -19,7 +31,6 @@ if TYPE_CHECKING:
     from jaxrelight.brdf.material import Material
     from jaxrelight.inverse.material_certainty import Estimate
     from jaxrelight.inverse.solve_materials import InverseMaterials
-    from jaxrelight.methods import Method
     from jaxrelight.scene.scene import Scene
 
 
@@ -54,12 +65,11 @@ class InverseMaterialsCommand:
     """Share of the pixels that is not fitted, and tells the fit's error."""
     smoothness: float = 1e-4
     """Of textures, relative to what an average texel's pixels tell; 0 for none."""
-    lighting: Literal["auto", "transport", "indirect", "prefiltered"] = "auto"
+    lighting: LinearLighting = "auto"
     """The lighting method, as for `render`."""
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
-    store: pathlib.Path | None = None
-    """The store's folder; by default one in the user's cache folder."""
-    report: Annotated[pathlib.Path | None, tyro.conf.arg(metavar="DIR")] = None
+    store: StoreFolder = None
+    report: ReportFolder = None
     """A folder for the picture, what was found, and the difference, as .png and .exr."""
     up: Up = "y"
     modules: Modules = ()
@@ -88,10 +98,11 @@ class InverseMaterialsCommand:
                 height, width = picture.shape[:2]
                 camera = dataclasses.replace(scene.camera, width=width, height=height)
                 scene = dataclasses.replace(scene, camera=camera)
-            self._check_outputs()
+            check_toml(self.output, "materials")
+            make_folder("--report", self.report)
             notes(dict.fromkeys((*scene.notes, *lights.notes)))
             with progress(self.json) as report:
-                relighter = prepared(scene, self._method(scene), self.store, report, summary, seconds)
+                relighter = prepared(scene, method_of(self), self.store, report, summary, seconds)
                 with timed(seconds, "solve"):
                     found = materials(
                         relighter,
@@ -123,15 +134,6 @@ class InverseMaterialsCommand:
             summary |= {"held_fixed": list(found.held), "steps": found.steps, "converged": found.converged}
             summary |= describe(relighter)
 
-    def _method(self, scene: "Scene") -> "Method":
-        """With the dials of the command line, where those were added; else the method as it is by default."""
-        if hasattr(self, "dials"):
-            return method_of(self)
-        from jaxrelight.lighting.prepare import default_method
-        from jaxrelight.methods import METHODS
-
-        return default_method(scene) if self.lighting == "auto" else METHODS[self.lighting]()
-
     def _unknowns(self, scene: "Scene") -> dict[str, Any]:
         """What is sought, started from the scene's own materials."""
         from jaxrelight.brdf.material import Material, as_material
@@ -157,18 +159,6 @@ class InverseMaterialsCommand:
             name = next(iter(textures))
             raise InputError(f"--texture {name}: is of a material that is sought; name it with --unknown {name}, too")
         return unknowns
-
-    def _check_outputs(self) -> None:
-        """Refuses, before long work, what cannot be written."""
-        if self.output is not None and self.output.suffix.lower() != ".toml":
-            raise InputError(f"{self.output}: materials are written as .toml; name such a file")
-        if self.output is not None and not self.output.parent.is_dir():
-            raise InputError(f"{self.output}: there is no folder {self.output.parent}; make it, or name another one")
-        if self.report is not None:
-            try:
-                self.report.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"--report {self.report}: {error.strerror}") from None
 
 
 def _texture_of(given: str) -> tuple[str, str, int, int]:

@@ -3,12 +3,12 @@
 import csv
 import dataclasses
 import pathlib
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
 from jaxrelight.commands.dials import method_of
-from jaxrelight.commands.options import Json, LightOptions, Modules, Up, import_modules
+from jaxrelight.commands.options import Json, LightOptions, LinearLighting, Modules, StoreFolder, Up, import_modules
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
 from jaxrelight.methods import METHODS
@@ -35,14 +35,13 @@ class Measure:
     """A scene file with [[sensor]], or the store that an earlier `measure` of it made."""
     output: Annotated[pathlib.Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE")] = None
     """A .csv file with a row for every point; without it, only the table of sensors is printed."""
-    lighting: Literal["auto", "transport", "indirect", "prefiltered"] = "auto"
+    lighting: LinearLighting = "auto"
     """The lighting method, as for `render`. 'auto' is indirect for a scene with local lights alone, and transport
     otherwise; a store has its own."""
     light: tyro.conf.OmitArgPrefixes[LightOptions] = LightOptions()
     lights: pathlib.Path | None = None
     """A scene file, or one of [[light]] alone, whose local lights take the place of the scene's."""
-    store: pathlib.Path | None = None
-    """The store's folder; by default one in the user's cache folder."""
+    store: StoreFolder = None
     up: Up = "y"
     modules: Modules = ()
     json: Json = False

@@ -30,6 +30,11 @@ Modules = Annotated[
 ]
 _ERROR_SAMPLES = "Pixels at which the picture is compared with the exact reference of its lighting method; 0 for none."
 ErrorSamples = Annotated[int, tyro.conf.arg(help=_ERROR_SAMPLES)]
+_STORE = "The store's folder; by default one in the user's cache folder."
+StoreFolder = Annotated[pathlib.Path | None, tyro.conf.arg(help=_STORE)]
+# Those that light sensors and inverse problems; adaptive lighting plans its samples for one light and one picture.
+LinearLighting = Literal["auto", "transport", "indirect", "prefiltered"]
+ReportFolder = Annotated[pathlib.Path | None, tyro.conf.arg(metavar="DIR")]
 Json = Annotated[bool, tyro.conf.arg(help="Print one JSON object at the end.")]
 
 
@@ -45,6 +50,33 @@ def import_modules(names: Sequence[str]) -> None:
         sys.path.insert(0, "")  # the current folder
         for name in names:
             import_classes(name)
+
+
+def make_folder(option: str, folder: pathlib.Path | None) -> None:
+    """Makes the folder that an option names, before long work; nothing where it names none.
+
+    Raises:
+        InputError: where it cannot be made.
+    """
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{option} {folder}: {error.strerror}") from None
+
+
+def check_toml(output: pathlib.Path | None, what: str) -> None:
+    """Refuses, before long work, a file that cannot be written as TOML; nothing where there is none.
+
+    Raises:
+        InputError: for another kind of file, or a folder that there is not.
+    """
+    if output is None:
+        return
+    if output.suffix.lower() != ".toml":
+        raise InputError(f"{output}: {what} are written as .toml; name such a file")
+    if not output.parent.is_dir():
+        raise InputError(f"{output}: there is no folder {output.parent}; make it, or name another one")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from jaxrelight.commands.options import (
     Up,
     ViewOptions,
     import_modules,
+    make_folder,
 )
 from jaxrelight.commands.summary import summary_of
 from jaxrelight.errors import InputError
@@ -89,7 +90,4 @@ def _make_maps_folder(maps: pathlib.Path, has_environment: bool) -> None:
     """Found now rather than after the work."""
     if not has_environment:
         raise InputError("--maps shows how an environment is sampled, and there is none; leave it out, or give --env")
-    try:
-        maps.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--maps {maps}: {error.strerror}") from None
+    make_folder("--maps", maps)

@@ -5,7 +5,7 @@ import dataclasses
 from jaxrelight.methods import METHODS
 
 DIALS_OF = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in METHODS.items()}
-_NAMED = "materials", "meshes", "filtered_lobes", "parts", "sensors"
+_NAMED = "materials", "meshes", "filtered_lobes", "parts", "sensors", "report"
 
 
 def _of_group(name: str, *keys: str) -> set[str]:
@@ -47,6 +47,13 @@ KEYS = {
     "inverse lamps": _lit("transport") | (TRANSPORT - {"bytes.environment"}) | {"lamps", "targets", "unknowns"}
     | {"report", "bytes.lights", "residual", "starts", "undetermined", "held_fixed"}
     | _of_group("seconds", "solve", "report"),
+    "inverse light": _lit("transport") | (TRANSPORT - {"bytes.transport"}) | {"environment", "told", "unknowns"}
+    | {"residual", "held_out", "singular_values", "strength", "applications", "exposures", "lamp_factors"}
+    | {"saturated", "report.*"} | _of_group("seconds", "solve", "report"),
+    "inverse materials": _lit("prefiltered") | {"output", "report", "residual", "held_out", "pixels", "saturated"}
+    | {"undetermined", "light_scale", "held_fixed", "steps", "converged"}
+    | _of_group("materials.*", "value", "deviation", "low", "high", "determined")
+    | _of_group("seconds", "imports", "load", "prepare", "solve", "report", "total"),
     "demo": _lit("transport") | TRANSPORT - {"seconds.load"} | SHOWN,
     "store": _lit("transport")
     | STORE

@@ -5,6 +5,7 @@ import pytest
 
 from jaxrelight import read_image
 from tests.commands.running import SCENE, refusal_of, run, summary_of
+from tests.commands.summary_keys import KEYS, keys_of
 
 HOW = "--lighting", "transport", "--resolution", "8", "--coefficients", "all"
 
@@ -20,6 +21,7 @@ def test_light_is_written_that_makes_the_picture(folder):
     told = summary_of(
         solve("scene.toml", "picture.exr", "-o", "found.exr", "--report", "report", "--unknowns", "4", *HOW, "--json")
     )
+    assert keys_of(told) == KEYS["inverse light"]
     assert told["command"] == "inverse light"
     assert told["residual"] < 0.1
     assert told["unknowns"] == 96

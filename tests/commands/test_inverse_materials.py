@@ -1,49 +1,21 @@
 """Materials by the command line: what is found is written as a scene's materials, and what is wrong is one line."""
 
 import dataclasses
-import json
 import pathlib
 
 import numpy as np
 import pytest
 
 import jaxrelight as jr
-from jaxrelight import InputError
 from jaxrelight.brdf.lobes import LobeSum
-from jaxrelight.commands.inverse_materials import InverseMaterialsCommand, write_materials
+from jaxrelight.commands.inverse_materials import write_materials
 from jaxrelight.images import write_image
 from jaxrelight.inverse.solve_materials import InverseMaterials
 from jaxrelight.scene.scene_file import load_scene
+from tests.commands import running
+from tests.commands.summary_keys import KEYS, keys_of
 
-SCENE = """
-[camera]
-origin = [0, 1, 2]
-target = [0, 0.2, 0]
-width = 12
-height = 10
-[[light]]
-type = "point"
-position = [1, 2, 1]
-intensity = 8
-[material.paper]
-type = "lambert"
-albedo = [0.5, 0.4, 0.3]
-[material.gloss]
-type = "phong"
-diffuse = 0.1
-specular = 0.3
-exponent = 5
-[[mesh]]
-primitive = "plane"
-size = [2, 2]
-resolution = 3
-material = "paper"
-[[mesh]]
-primitive = "sphere"
-radius = 0.4
-resolution = 3
-material = "gloss"
-"""
+SCENE = running.SCENE.replace('[environment]\nfile = "sky.exr"', running.LAMP)
 
 
 @pytest.fixture
@@ -54,22 +26,22 @@ def folder(tmp_path) -> pathlib.Path:
     return tmp_path
 
 
-def command(folder, *unknown: str, **options) -> InverseMaterialsCommand:
-    return InverseMaterialsCommand(
-        folder / "scene.toml", folder / "picture.exr", unknown or ("paper",), lighting="prefiltered", **options
-    )
+def command(folder: pathlib.Path, *options: str | pathlib.Path) -> tuple[int, str, str]:
+    given = folder / "scene.toml", folder / "picture.exr", "--lighting", "prefiltered", "--map-rows", "32"
+    return running.run("inverse", "materials", *given, *options)
 
 
 @pytest.mark.slow
-def test_found_materials_are_those_of_a_scene_file(folder, capsys):
+def test_found_materials_are_those_of_a_scene_file(folder):
     scene = load_scene(folder / "scene.toml")
     true = {**scene.materials, "paper": jr.lambert([0.7, 0.2, 0.6])}
     relighter = jr.prepare(dataclasses.replace(scene, materials=true), jr.Prefiltered(map_rows=32))
     write_image(folder / "picture.exr", np.ascontiguousarray(relighter.picture(background=False)[..., :3]))
     out = folder / "found.toml"
-    command(folder, output=out, report=folder / "report", json=True).run()
-    summary = json.loads(capsys.readouterr().out)
+    options = "--unknown", "paper", "-o", out, "--report", folder / "report", "--json"
+    summary = running.summary_of(command(folder, *options))
     np.testing.assert_allclose(summary["materials"]["paper.albedo"]["value"], [0.7, 0.2, 0.6], rtol=1e-3)
+    assert keys_of(summary) == KEYS["inverse materials"]
     assert summary["undetermined"] == []
     assert summary["residual"] < 1e-3
     assert {path.name for path in (folder / "report").glob("*.png")} == {"picture.png", "found.png", "difference.png"}
@@ -86,17 +58,17 @@ def _rest() -> str:
 
 def test_what_is_wrong_is_one_line(folder):
     wrong = {
-        "the scene has no material 'wood'; it has paper, gloss": command(folder, "wood"),
-        "'shine' is no parameter of this material": command(folder, "paper:shine"),
-        "write it as NAME:PART=ROWSxCOLUMNS": command(folder, "paper", texture=("paper:albedo",)),
-        "name it with --unknown gloss, too": command(folder, "paper", texture=("gloss:diffuse=4x4",)),
-        "materials are written as .toml": command(folder, output=folder / "found.json"),
-        "--noise is 0; it must be above 0": command(folder, noise=0.0),
+        "the scene has no material 'wood'; it has paper, gloss": ["--unknown", "wood"],
+        "'shine' is no parameter of this material": ["--unknown", "paper:shine"],
+        "write it as NAME:PART=ROWSxCOLUMNS": ["--unknown", "paper", "--texture", "paper:albedo"],
+        "name it with --unknown gloss, too": ["--unknown", "paper", "--texture", "gloss:diffuse=4x4"],
+        "materials are written as .toml": ["--unknown", "paper", "-o", folder / "found.json"],
+        "there is no folder": ["--unknown", "paper", "-o", folder / "none" / "found.toml"],
+        "--report": ["--unknown", "paper", "--report", folder / "picture.exr"],
+        "--noise is 0; it must be above 0": ["--unknown", "paper", "--noise", "0"],
     }
-    for message, one in wrong.items():
-        with pytest.raises(InputError, match=message) as caught:
-            one.run()
-        assert len(str(caught.value).splitlines()) == 1
+    for message, options in wrong.items():
+        assert message in running.refusal_of(command(folder, *options), "jaxrelight inverse")
 
 
 def test_lobes_are_written_as_a_scene_has_them(folder):
