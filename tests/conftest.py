@@ -36,6 +36,17 @@ jax.config.update("jax_compilation_cache_dir", os.environ[_CACHE])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
+# Most of the time that quick tests take is compiling: for them, XLA's CPU compiler makes code quickly rather than code
+# that is fast. Slow tests, and all of them under `-m ""`, run what users run.
+_COMPILED_QUICKLY = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
+
+
+def pytest_configure(config: pytest.Config):
+    """Before JAX compiles anything, and before there are workers, which inherit it."""
+    if not _IS_WORKER and config.getoption("markexpr") == "not slow":
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_COMPILED_QUICKLY}"
+
+
 # Tracing makes many objects that live long: looking through all of them again and again takes a fifth of the time.
 gc.freeze()
 gc.set_threshold(50_000, 20, 100)

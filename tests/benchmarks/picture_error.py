@@ -58,29 +58,34 @@ class Case(NamedTuple):
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        prog="python -m tests.benchmarks.picture_error",
-        description=__doc__,
-        epilog="RESULTS.md is written only without options.",
-    )
+    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.picture_error", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="two scenes, two skies, small pictures, resolution 16")
     parser.add_argument("--folder", type=pathlib.Path, help="keep the stores here and reuse them")
+    parser.add_argument("--only", choices=("errors", "times"), help="one of the sections")
     arguments = parser.parse_args()
+    quick = arguments.quick
     shared("reference")
-    side, resolution = (32, 16) if arguments.quick else (96, 64)
-    skies = dict(list(SKIES.items())[: 2 if arguments.quick else None])
-    scenes, rooms = (SCENES[:1], ROOMS[:1]) if arguments.quick else (SCENES, ROOMS)
-    parameters = f"{side}² pixels, of which 256 are compared; resolution {resolution}; {len(skies)} skies"
+    side, resolution = (32, 16) if quick else (96, 64)
+    ways = list(WAYS)[:: 4 if quick else 1]
     with tempfile.TemporaryDirectory() as temporary:
         folder = arguments.folder or pathlib.Path(temporary)
-        write = not (arguments.quick or arguments.folder)
-        with Report("picture_error", "Errors that pictures report", parameters, write) as report:
-            ways = list(WAYS)[:: 4 if arguments.quick else 1]
-            cases = [case for name in scenes for case in of_scene(name, skies, side, resolution, folder / name, ways)]
-            cases += [case for name in rooms for case in of_room(name, side // 2, folder / name)]
-            tell(report, cases)
-            costs(report, resolution, 64 if arguments.quick else 256, folder / "bunny_phong", ways)
-            report.speed()
+        write = not (quick or arguments.folder)
+        if arguments.only != "times":
+            skies = dict(list(SKIES.items())[: 2 if quick else None])
+            parameters = f"{side}² pixels, of which 256 are compared; resolution {resolution}; {len(skies)} skies"
+            with Report("picture_error", "Errors that pictures report", parameters, write) as report:
+                scenes, rooms = (SCENES[:1], ROOMS[:1]) if quick else (SCENES, ROOMS)
+                cases = [
+                    case for name in scenes for case in of_scene(name, skies, side, resolution, folder / name, ways)
+                ]
+                cases += [case for name in rooms for case in of_room(name, side // 2, folder / name)]
+                tell(report, cases)
+        if arguments.only != "errors":
+            side = 64 if quick else 256
+            title, parameters = "The time that errors of pictures take", f"bunny_phong, {side}² pixels"
+            with Report("picture_error", title, parameters, write, part="_times") as report:
+                costs(report, resolution, side, folder / "bunny_phong", ways)
+                report.speed()
 
 
 def _scene(name: str, side: int):
@@ -219,7 +224,7 @@ def costs(report: Report, resolution: int, side: int, folder: pathlib.Path, ways
         again = interleaved(run, RUNS)
         told = (f"{again[name].median:.3f} s" if name in again else "" for name in ("again", "expected"))
         rows.append([way, f"{min(seconds[1:]):.2f} s", f"{np.median(others):.3f} s", *told])
-    report.text(f"**Time**, bunny_phong, {side}² pixels: to be reached are 0.6 s once a view and 0.1 s a light.")
+    report.text("To be reached are 0.6 s once a view, and 0.1 s a light.")
     first = "once a view, the first light with it"
     report.table(["way", first, "another light", "the same again", "expected before a picture"], rows)
 
