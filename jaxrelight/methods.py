@@ -55,7 +55,7 @@ class Transport(Method):
 
     is_stored: ClassVar[bool] = True
     advanced: ClassVar[frozenset[str]] = frozenset(
-        {"visibility_samples", "reflection_tolerance", "reflection_rays", "factor_resolution", "split_sun"}
+        {"visibility_samples", "rays", "reflection_tolerance", "reflection_rays", "factor_resolution", "split_sun"}
         | {"gather_resolution", "gather"}
     )
 
@@ -67,6 +67,9 @@ class Transport(Method):
     with its square; sharper shadows and highlights need more."""
     visibility_samples: int = 1
     """Rays for each texel of the cube map: 1, 4, 9, 16 or 25. Transport is averaged over them."""
+    rays: Literal["adaptive", "all"] = "adaptive"
+    """Which texels have rays of their own: 'adaptive' traces those where visibility changes, in a fraction of the rays;
+    'all' leaves none out."""
     reflection: Literal["filtered", "factors", "traced"] = "filtered"
     """How vertices reflect lobes: 'filtered' multiplies each lobe's light by the share of it that is visible, sharp at
     any exponent and from any view; 'traced' takes that share from rays of each view's pixels; 'factors' are rows of
@@ -117,6 +120,7 @@ class Transport(Method):
         n = self.resolution
         require(n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
         check_choice("visibility samples", self.visibility_samples, (1, 4, 9, 16, 25))
+        check_choice("rays", self.rays, ("adaptive", "all"))
         require(self.gather_resolution % 2 == 0, f"gather resolution is {self.gather_resolution}; it must be even")
         check_choice("gather", self.gather, ("barycentric", "nearest"))
         check_choice("split sun", self.split_sun, (True, False))

@@ -64,6 +64,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.geometry.file_lights", "FileLight.moved FileCamera.moved Surroundings.moved"),
             *named("jaxrelight.geometry.frame", "frames_of_points to_local"),
             *named("jaxrelight.geometry.morton", "morton"),
+            *named("jaxrelight.geometry.occluders", "Occluders.possible"),
             *named("jaxrelight.geometry.polygons", "triangulated"),
             *named("jaxrelight.geometry.primitives", "plane sphere box"),
             *named("jaxrelight.geometry.repair", "repaired"),

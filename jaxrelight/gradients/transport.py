@@ -137,6 +137,7 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.transport.filtered_visibility", "visibility_distances"),
             *named("jaxrelight.transport.visibility", "trace_visibility"),
+            *named("jaxrelight.transport.adaptive_visibility", "trace_adaptively cells_of first_cells"),
             *named("jaxrelight.gather.photons", "shoot"),
         ),
         RAYS,

@@ -13,8 +13,8 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.brdf.separable import Separable
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
+from jaxrelight.geometry.occluders import Occluders
 from jaxrelight.geometry.receivers import GROUP, Receivers
-from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.methods import Transport
 from jaxrelight.precomputation.groups import complete
 from jaxrelight.precomputation.layer_files import write_lights
@@ -24,7 +24,8 @@ from jaxrelight.precomputation.placing import place
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
-from jaxrelight.transport import bake
+from jaxrelight.transport import adaptive_visibility, bake
+from jaxrelight.transport.adaptive_visibility import trace_adaptively
 from jaxrelight.transport.bounce import Gather
 from jaxrelight.transport.compression import compression, shared
 from jaxrelight.transport.filtered_visibility import CELLS, MAX_ANGLE, visibility_distances
@@ -71,16 +72,17 @@ def make_layers(
     """
     with timed(seconds, "geometry"):
         here = place(scene, method, folder)
-    folder, receivers, tracer = here.folder, here.receivers, here.geometry.tracer
-    visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP)
-    directions = cubemap.directions(method.resolution * method.samples_per_side)
+    folder, receivers = here.folder, here.receivers
+    of_rays = adaptive_visibility.DIALS if method.rays == "adaptive" else ()
+    visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP, *of_rays)
+    texels = method.resolution * method.samples_per_side
     with timed(seconds, "visibility"):
         visibility = store.make_layer(
             folder / f"visibility-{visibility_key}",
-            {"bits": ((GROUP, len(directions) // 8), np.dtype(np.uint8))},
+            {"bits": ((GROUP, 6 * texels**2 // 8), np.dtype(np.uint8))},
             len(receivers.filled),
         )
-        rays = _trace_groups(visibility, receivers, tracer, directions, report)
+        rays = _trace_groups(visibility, receivers, here.geometry, texels, method.rays, report)
 
     materials, notes = [], []
     stage = f"bounce {method.bounces}" if gather else "transport"
@@ -129,16 +131,23 @@ def check_terms_of(scene: Scene, name: str, method: Transport) -> None:
             raise InputError(f"{scene.name}: material '{name}': {error}") from None
 
 
-def _trace_groups(layer: store.Layer, receivers: Receivers, tracer: Tracer, directions, report: Report) -> int:
-    rays = []
+def _trace_groups(
+    layer: store.Layer, receivers: Receivers, geometry: SceneGeometry, texels: int, mode: str, report: Report
+) -> int:
+    counts, tracer, directions = [], geometry.tracer, cubemap.directions(texels)
+    occluders = Occluders(geometry.surfaces) if mode == "adaptive" and layer.missing else None
 
     def trace(group: int) -> None:
-        bits, count = trace_visibility(tracer, receivers.origins[group], receivers.normals[group], directions)
+        rays = receivers.origins[group], receivers.normals[group]
+        if occluders is None:
+            bits, count = trace_visibility(tracer, *rays, directions)
+        else:
+            bits, count = trace_adaptively(tracer, occluders, *rays, texels)
         layer.write(group, bits=bits)
-        rays.append(count)
+        counts.append(count)
 
     complete([layer], receivers.filled, trace, functools.partial(report, "visibility"))
-    return sum(rays)
+    return sum(counts)
 
 
 def _filter_visibility(

@@ -6,10 +6,10 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Int, Int8
 
-from jaxrelight.basis import cubemap
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.geometry.gbuffer import sensor_gbuffer
+from jaxrelight.geometry.occluders import Occluders
 from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import Receivers, pixel_receivers, vertex_receivers
 from jaxrelight.geometry.sensors import Sensors
@@ -21,10 +21,10 @@ from jaxrelight.precomputation.placing import geometry_keys
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport import bake
+from jaxrelight.transport.adaptive_visibility import trace_adaptively
 from jaxrelight.transport.compression import padded_receivers
 from jaxrelight.transport.filtered_visibility import FilteredVisibility, visibility_distances
 from jaxrelight.transport.model import ByKey, frames_of
-from jaxrelight.transport.visibility import trace_visibility
 
 
 class Slots(ByKey):
@@ -58,7 +58,7 @@ def vertex_occlusion(
         report: called with the progress, in vertices.
     """
     receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int))
-    return _traced_occlusion(receivers, tracer, resolution, report)
+    return _traced_occlusion(receivers, surfaces, tracer, resolution, report)
 
 
 def sensor_occlusion(
@@ -68,17 +68,20 @@ def sensor_occlusion(
     points = sensor_gbuffer(surfaces, sensors)
     of_sensors = np.zeros(len(surfaces.two_sided) + 1, int)
     receivers = pixel_receivers(points, ray_origins(surfaces, tracer, points), of_sensors)
-    return _traced_occlusion(receivers, tracer, resolution, report)
+    return _traced_occlusion(receivers, surfaces, tracer, resolution, report)
 
 
-def _traced_occlusion(receivers: Receivers, tracer: Tracer, resolution: int, report: Report | None) -> VertexOcclusion:
+def _traced_occlusion(
+    receivers: Receivers, surfaces: Surfaces, tracer: Tracer, resolution: int, report: Report | None
+) -> VertexOcclusion:
     groups = len(receivers.filled)
-    directions, vectors = bake.directions_for(resolution), cubemap.directions(resolution)
+    directions, occluders = bake.directions_for(resolution), Occluders(surfaces)
     codes: list[np.ndarray] = [np.zeros(0, np.int8)] * groups
     frames = frames_of(receivers, np.arange(groups)).astype(np.float32)
 
     def make(group: int) -> None:
-        bits, _ = trace_visibility(tracer, receivers.origins[group], receivers.normals[group], vectors)
+        rays = receivers.origins[group], receivers.normals[group]
+        bits, _ = trace_adaptively(tracer, occluders, *rays, resolution)
         codes[group] = np.asarray(visibility_distances(bits, frames[group], directions))
 
     done = 0

@@ -441,9 +441,9 @@ def test_failed_run_keeps_what_is_done(scene, made, tmp_path, monkeypatch):
         traced.append(trace(*arguments)[1])
         return trace(*arguments)
 
-    trace = stages.trace_visibility
+    trace = stages.trace_adaptively
     with monkeypatch.context() as patch:
-        patch.setattr(stages, "trace_visibility", fail)
+        patch.setattr(stages, "trace_adaptively", fail)
         patch.setattr(os, "cpu_count", lambda: 1)
         with pytest.raises(InputError, match="disk full"):
             precompute(scene, METHOD, tmp_path / "store")
