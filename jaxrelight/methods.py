@@ -83,8 +83,8 @@ class Transport(Method):
     more; time and bytes grow with them. Diffuse materials always have 1."""
     coefficients: int | Literal["shared", "all"] = "shared"
     """How direct light is kept: 'shared' lets near receivers share as few rows over as few wavelet coefficients as
-    compression_tolerance allows; a number keeps that many coefficients in each row; 'all' compresses nothing, which is
-    exact and slow to relight. Bounced light is always shared."""
+    compression_tolerance allows; a number keeps as many coefficients of each row, those that count most under natural
+    light; 'all' compresses nothing, which is exact and slow to relight. Bounced light is always shared."""
     factor_resolution: int = 48
     """Side of the maps of a glossy material's factors, from 4 to 128."""
     compression_tolerance: float = 0.02

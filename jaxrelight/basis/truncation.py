@@ -1,4 +1,4 @@
-"""Non-linear approximation: each row keeps its largest coefficients (Wang 2006 §4.1.1)."""
+"""Non-linear approximation: each row keeps the coefficients that count most (Wang 2006 §4.1.1)."""
 
 import equinox as eqx
 import jax
@@ -23,13 +23,20 @@ class Truncated(eqx.Module):
     total: Float[Array, "*r c"]
 
 
-def keep_largest(rows: Float[Array, "r c d"], count: int) -> Truncated:
+def keep_largest(rows: Float[Array, "r c d"], count: int, deviations: Float[Array, " d"] | None = None) -> Truncated:
     """Keeps, in every row, the `count` coefficients whose squares summed over the channels are largest.
 
-    With an orthonormal basis this choice leaves out the least energy. The energy left out is summed over what is
-    left out, not found as a small difference of large sums.
+    With an orthonormal basis this choice leaves out the least energy. Where it is known how much light's coefficients
+    vary, those are kept that count most under such light: in its mean square, the least is left out of a row's product
+    with it. The energy left out is summed over what is left out, not found as a small difference of large sums.
+
+    Args:
+        rows: by channel.
+        count: of coefficients of each.
+        deviations: standard deviations of light's coefficients, relative to each other.
     """
-    energy = jnp.sum(rows * rows, axis=1)
+    counting = rows if deviations is None else rows * deviations[None, None]
+    energy = jnp.sum(counting * counting, axis=1)
     # The values of top_k must stay unused: XLA would sort whole rows for them, thirty times slower.
     indices = jnp.sort(jax.lax.top_k(energy, count)[1], axis=-1)
     values = gather(rows, indices)

@@ -149,13 +149,14 @@ def bake_truncated(
     directions: Directions,
     basis: Basis,
     count: int,
+    deviations: Float[Array, " d"] | None = None,
 ) -> truncation.Truncated:
-    """The `count` largest coefficients of every row; the arrays of the result lead with m, k."""
+    """The `count` coefficients of every row that count most, see `keep_largest`; the result's arrays lead with m, k."""
 
     def truncate(rows):
         rows = _encoded(basis, rows)
         b, k, c, d = rows.shape
-        kept = truncation.keep_largest(rows.reshape(b * k, c, d), count)
+        kept = truncation.keep_largest(rows.reshape(b * k, c, d), count, deviations)
         return jax.tree.map(lambda x: x.reshape(b, k, *x.shape[1:]), kept)
 
     return _joined(_map_blocks(truncate, bits, frames, reflection, directions))

@@ -15,6 +15,7 @@ from jaxrelight.files import store
 from jaxrelight.geometry.receivers import GROUP
 from jaxrelight.lights.natural_spectrum import natural_spectrum
 from jaxrelight.methods import Indirect, Transport
+from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import bucket
 from jaxrelight.operators.clustered import Cluster, Clustered, clustered, quantised_clusters
 from jaxrelight.operators.clustering import cluster
@@ -65,7 +66,8 @@ def bake_compressed(
 ) -> dict[str, np.ndarray]:
     """Direct light of one group, as a layer holds it; see `bake`."""
     if isinstance(kept, Rows):
-        return kept.arrays(bake.bake_truncated(bits, frames, reflection, directions, basis, kept.count))
+        given = bits, frames, reflection, directions, basis
+        return kept.arrays(bake.bake_truncated(*given, kept.count, as_array(kept.spectrum)))
     rows = np.asarray(bake.bake_rows(bits, frames, reflection, directions, basis))
     return kept.compress(rows, np.arange(rows.shape[-1]))
 
@@ -76,22 +78,25 @@ def padded_receivers(count: int) -> int:
 
 
 class Rows:
-    """The largest coefficients of every row, the same number in all (Wang 2006 §4.1.1).
+    """The coefficients of every row that count most under light of a spectrum, the same number in all.
+
+    Wang 2006 §4.1.1 keeps the largest.
 
     Attributes:
         count: of coefficients.
+        spectrum: standard deviations of light's coefficients, relative to each other.
     """
 
     def __init__(self, count: int, bits: int, spectrum: Float[np.ndarray, " d"]):
         self.count = count
         self._bits = bits
         self._columns = len(spectrum)
-        self._spectrum = spectrum
+        self.spectrum = spectrum
 
     @property
     def dial(self) -> Any:
         """What a layer's key has to tell of it."""
-        return self.count if self._bits == 32 else [self.count, self._bits]
+        return ["rows of natural light", self.count, *([] if self._bits == 32 else [self._bits])]
 
     def layout(self, terms: int, channels: int) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
         """Indices shared by the channels, and values."""
@@ -106,7 +111,7 @@ class Rows:
         """The arrays of a layer: the coefficients that matter most under light of the spectrum."""
         energy = np.square(rows, dtype=np.float64)
         count = min(self.count, len(columns))
-        weighted = energy.sum(axis=2) * np.square(self._spectrum[columns])
+        weighted = energy.sum(axis=2) * np.square(self.spectrum[columns])
         chosen = (
             np.sort(np.argpartition(-weighted, count - 1)[..., :count])
             if count

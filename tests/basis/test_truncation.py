@@ -1,5 +1,7 @@
 """Non-linear approximation: the error is the dropped energy, and no choice is better."""
 
+from itertools import combinations
+
 import hypothesis
 import hypothesis.strategies as st
 import jax
@@ -87,6 +89,20 @@ def test_channels_are_judged_together():
     kept = keep_largest(row, 1)
     assert kept.indices.tolist() == [[2]] * 5
     np.testing.assert_allclose(kept.dropped, [[2.25, 0, 0]] * 5)
+
+
+def test_what_counts_most_under_light_is_kept():
+    """Of all choices, the mean square of what is left out of products with such light is smallest."""
+    rows, deviations = random_rows(3, 2, 8), (0.5 ** np.arange(8)).astype(np.float32)
+    kept = jax.tree.map(np.asarray, _keep_largest(rows, 3, deviations))
+    left = np.sum(((rows - written_out(kept, 8)) * deviations) ** 2, axis=(1, 2))
+    for row, least in zip(rows, left, strict=True):
+        choices = [np.sum((np.delete(row * deviations, chosen, axis=1)) ** 2) for chosen in combinations(range(8), 3)]
+        np.testing.assert_allclose(least, min(choices), rtol=1e-5)
+    np.testing.assert_allclose(kept.dropped, np.sum((rows - written_out(kept, 8)) ** 2, axis=-1), rtol=1e-5)
+    plain = keep_largest(rows, 3)
+    same = jax.tree.map(np.asarray, _keep_largest(rows, 3, np.full(8, 2.0, np.float32)))
+    np.testing.assert_array_equal(same.indices, plain.indices)
 
 
 def test_float64(x64):

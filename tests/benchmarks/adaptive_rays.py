@@ -142,10 +142,10 @@ def _scenes(report: Report, resolution: int, groups: int):
         rows.append([name, percent(share), percent(seconds), percent(sides.different)])
         rows[-1] += [percent(error) for error in sides.errors(resolution)]
     report.text(
-        f"Rays and time are those of all rays, the time in one thread and in turns; to be reached are {OPEN:.0%} of the "
-        f"rays of the bunny and the dragon, and {CLOSED:.0%} of those of the staircase and Sponza. Texels are those above "
-        f"horizons that differ. Then follows the error of irradiance under each sky, to be {LOST:.1%} at most, and "
-        f"{UNDER_GRACE:.1%} under Grace."
+        "Rays and time are shares of those of all rays, the time in one thread and in turns; to be reached are "
+        f"{OPEN:.0%} of the rays of the bunny and the dragon, and {CLOSED:.0%} of those of the staircase and Sponza. "
+        "Texels are those above horizons that differ. Then follows the error of irradiance under each sky, to be "
+        f"{LOST:.1%} at most, and {UNDER_GRACE:.1%} under Grace."
     )
     report.table(["scene", "rays", "time", "texels", *SKIES], rows)
 
@@ -178,9 +178,9 @@ def _thin_things(report: Report, resolution: int):
         rows.append([name, percent(sides.rays[1] / sides.rays[0]), percent(lost.mean()), percent(np.mean(lost > 0.2))])
         rows[-1] += [percent(error) for error in sides.errors(resolution)]
     report.text(
-        "**Thin things**, about a texel wide, over a floor: of what each receiver has hidden, the share that is lost in the "
-        "mean, and the share of receivers that lose more than a fifth, to be 1 % at most. Irradiance is to be 0.5 % off at "
-        "most."
+        "**Thin things**, about a texel wide, over a floor: of what each receiver has hidden, the share that is lost "
+        "in the mean, and the share of receivers that lose more than a fifth, to be 1 % at most. Irradiance is to be "
+        "0.5 % off at most."
     )
     report.table(["over a floor", "rays", "lost", "over a fifth", *SKIES], rows)
 
@@ -200,8 +200,8 @@ def _precomputations(report: Report, quick: bool):
     every, some = (best[way]["rays"] for way in ("all", "adaptive"))
     rows.append(["rays", f"{every / 1e6:.0f} M", f"{some / 1e6:.0f} M", f"{some / every:.2f}"])
     report.text(
-        "**Precomputation** of the bunny on its floor, Lambert, vertices, in new processes and stores, in turns, the better "
-        "of two: to be reached are 0.58 of the whole with all rays."
+        "**Precomputation** of the bunny on its floor, Lambert, vertices, in new processes and stores, in turns, the "
+        "better of two: to be reached are 0.58 of the whole with all rays."
     )
     report.table(["stage", "all rays", "adaptive", "ratio"], rows)
 
