@@ -267,7 +267,7 @@ def _under(
         return jnp.where(omega_o[2] > 0, radiance * scale, 0)
 
     rows = pixels.frame, pixels.omega_o, pixels.uv, pixels.footprint, corners
-    return jax.lax.map(lambda one: shade(*one), rows, batch_size=PIXEL_BATCH)
+    return jax.lax.map(jax.checkpoint(lambda one: shade(*one)), rows, batch_size=PIXEL_BATCH)
 
 
 def prefiltered_radiance(
