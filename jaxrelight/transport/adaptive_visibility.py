@@ -23,6 +23,8 @@ from jaxrelight.geometry.tracer import Tracer
 _WIDEST, _LEAST_CELLS = 4, 16
 # Receivers of which each hints at what others of them miss, and the levels at which they do.
 _NEARBY, _HINTED = np.uint32, 2
+# Of heights over the horizon.
+_ROUNDING = np.float32(1e-6)
 # What visibility depends on beside the scene and the receivers.
 DIALS = _WIDEST, _LEAST_CELLS, np.dtype(_NEARBY).itemsize, _HINTED
 
@@ -177,12 +179,13 @@ class _Rays:
 
 
 def _above(normals: Float[np.ndarray, "m 3"], resolution: int) -> UInt64[np.ndarray, "d w"]:
-    """The texels above the horizons of normals: on a face, the height is linear in rows and columns."""
+    """The texels above the horizons of normals, or on them: on a face, the height is linear in rows and columns."""
     centres = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
     still = np.zeros_like(centres)
     heights = (cubemap.face_plane(*of) @ normals.T for of in ((centres, still), (still, centres), (still, still)))
     along, down, middle = (of.astype(np.float32) for of in heights)
-    faces = [columns[None] > rows[:, None] for columns, rows in zip(along, middle - down, strict=True)]
+    # Where rounding takes a texel on the horizon for one above, it must not be taken for a hidden one.
+    faces = [columns[None] > rows[:, None] - _ROUNDING for columns, rows in zip(along, middle - down, strict=True)]
     return np.concatenate([_packed(face.reshape(resolution**2, -1)) for face in faces])
 
 

@@ -94,7 +94,7 @@ def test_memory_that_does_not_suffice_is_one_line(folder, run, monkeypatch):
     def take_much(*_):
         raise MemoryError
 
-    monkeypatch.setattr(stages, "trace_visibility", take_much)
+    monkeypatch.setattr(stages, "trace_adaptively", take_much)
     assert "the memory is used up; lower --width" in refusal_of(run("render", "scene.toml", "-o", "out.exr", *DIALS))
     assert not (folder / "out.exr").exists()
 
@@ -103,7 +103,7 @@ def test_interruption_says_what_is_kept(folder, run, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(stages, "trace_visibility", interrupt)
+    monkeypatch.setattr(stages, "trace_adaptively", interrupt)
     status, _, err = run("precompute", "scene.toml", "-o", "made", *DIALS)
     assert status == 130
     said = "jaxrelight: stopped at 0 % of visibility; what is done is kept, run the same command to go on"
@@ -158,7 +158,7 @@ def test_output_is_checked_before_any_work(folder, run, monkeypatch, command: st
 
 def test_scene_without_environment_is_found_before_any_ray(folder, run, monkeypatch):
     (folder / "dark.toml").write_text(SCENE.replace('[environment]\nfile = "sky.exr"\n', ""))
-    monkeypatch.setattr(stages, "trace_visibility", None)
+    monkeypatch.setattr(stages, "trace_adaptively", None)
     message = refusal_of(run("render", "dark.toml", "-o", "out.exr", *DIALS))
     assert "there is no light; name an environment with --env MAP, or give the scene a [[light]]" in message
 
@@ -200,6 +200,7 @@ def test_render_then_again(folder, run):
         "receivers": "pixels",
         "resolution": 8,
         "visibility_samples": 1,
+        "rays": "adaptive",
         "reflection": "filtered",
         "reflection_tolerance": 0.01,
         "reflection_rays": 64,
