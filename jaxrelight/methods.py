@@ -55,7 +55,15 @@ class Transport(Method):
 
     is_stored: ClassVar[bool] = True
     advanced: ClassVar[frozenset[str]] = frozenset(
-        {"visibility_samples", "rays", "reflection_tolerance", "reflection_rays", "factor_resolution", "split_sun"}
+        {
+            "visibility_samples",
+            "rays",
+            "receiver_tolerance",
+            "reflection_tolerance",
+            "reflection_rays",
+            "factor_resolution",
+            "split_sun",
+        }
         | {"gather_resolution", "gather"}
     )
 
@@ -70,6 +78,9 @@ class Transport(Method):
     rays: Literal["adaptive", "all"] = "adaptive"
     """Which texels have rays of their own: 'adaptive' traces those where visibility changes, in a fraction of the rays;
     'all' leaves none out."""
+    receiver_tolerance: float = 0.0
+    """By how much light may be off halfway between vertices, relative to that of open sky: edges along which it is more
+    are halved. From 0, which leaves meshes as they are, to below 1."""
     reflection: Literal["filtered", "factors", "traced"] = "filtered"
     """How vertices reflect lobes: 'filtered' multiplies each lobe's light by the share of it that is visible, sharp at
     any exponent and from any view; 'traced' takes that share from rays of each view's pixels; 'factors' are rows of
@@ -121,6 +132,7 @@ class Transport(Method):
         require(n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
         check_choice("visibility samples", self.visibility_samples, (1, 4, 9, 16, 25))
         check_choice("rays", self.rays, ("adaptive", "all"))
+        check_number("receiver tolerance", self.receiver_tolerance, lambda x: 0 <= x < 1, "from 0 to below 1")
         require(self.gather_resolution % 2 == 0, f"gather resolution is {self.gather_resolution}; it must be even")
         check_choice("gather", self.gather, ("barycentric", "nearest"))
         check_choice("split sun", self.split_sun, (True, False))

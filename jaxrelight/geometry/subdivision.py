@@ -1,9 +1,10 @@
 """Faces split until they are small enough to carry light at their vertices."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
@@ -28,43 +29,61 @@ def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
     area = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1).sum() / 2
     if area > _MAX_FACES * max_edge**2 * 3**0.5 / 4:
         raise _too_many(max_edge)
+    while True:
+        edges = edges_of(mesh)
+        long = np.linalg.norm(np.diff(mesh.vertices[edges.ends], axis=1)[:, 0], axis=-1) > max_edge
+        if not long.any():
+            return mesh
+        mesh = halved(mesh, edges, long)
+        if len(mesh.faces) > _MAX_FACES:
+            raise _too_many(max_edge)
+
+
+class Edges(NamedTuple):
+    """Edges of a mesh, each once.
+
+    Attributes:
+        ends: vertex numbers, ascending.
+        of_sides: the number of the edge that each face's side 0–1, 1–2 and 2–0 is.
+    """
+
+    ends: Int[np.ndarray, "e 2"]
+    of_sides: Int[np.ndarray, "f 3"]
+
+
+def edges_of(mesh: Mesh) -> Edges:
+    """All edges, by their ends."""
+    sides = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
+    key, edge_of_side = np.unique(sides[:, 0] * len(mesh.vertices) + sides[:, 1], return_inverse=True)
+    return Edges(np.stack(np.divmod(key, len(mesh.vertices)), axis=-1), edge_of_side.reshape(-1, 3))
+
+
+def halved(mesh: Mesh, edges: Edges, chosen: Bool[np.ndarray, " e"]) -> Mesh:
+    """The same surface with a vertex in the middle of each chosen edge, in all faces that share it.
+
+    New vertices follow those of the mesh, in the order of the edges.
+    """
     nothing = np.zeros((len(mesh.vertices), 0))
     uv, colours = (nothing if columns is None else columns for columns in (mesh.uv, mesh.colours))
     # One row a vertex, so that all that a vertex has is interpolated alike: position, normal, texture coordinates and
     # colour.
-    corners, faces = np.concatenate([mesh.vertices, mesh.normals, uv, colours], axis=1), mesh.faces
+    corners = np.concatenate([mesh.vertices, mesh.normals, uv, colours], axis=1)
     colours_start = 6 + uv.shape[1]
-    while True:
-        edges, edge_of_side = _edges(faces)
-        ends = corners[edges]
-        long = np.linalg.norm(ends[:, 0, :3] - ends[:, 1, :3], axis=-1) > max_edge
-        if not long.any():
-            break
-        middle = np.full(len(edges), -1)
-        middle[long] = len(corners) + np.arange(long.sum())
-        corners = np.concatenate([corners, ends[long].mean(axis=1)])
-        faces = _split(faces, middle[edge_of_side], corners[:, :3])
-        if len(faces) > _MAX_FACES:
-            raise _too_many(max_edge)
+    middle = np.full(len(chosen), -1)
+    middle[chosen] = len(corners) + np.arange(chosen.sum())
+    corners = np.concatenate([corners, corners[edges.ends[chosen]].mean(axis=1)])
     return dataclasses.replace(
         mesh,
         vertices=corners[:, :3],
         normals=unit(corners[:, 3:6], np.array([0.0, 1.0, 0.0])),
         uv=None if mesh.uv is None else corners[:, 6:colours_start],
         colours=None if mesh.colours is None else corners[:, colours_start:],
-        faces=faces,
+        faces=_split(mesh.faces, middle[edges.of_sides], corners[:, :3]),
     )
 
 
 def _too_many(max_edge: float) -> InputError:
     return InputError(f"max_edge {max_edge:g} gives more than {_MAX_FACES:,} faces; choose a larger one")
-
-
-def _edges(faces: Int[np.ndarray, "f 3"]) -> tuple[Int[np.ndarray, "e 2"], Int[np.ndarray, "f 3"]]:
-    """All edges, and the number of each face's edges 0–1, 1–2 and 2–0."""
-    sides = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
-    key, edge_of_side = np.unique(sides[:, 0] * (faces.max() + 1) + sides[:, 1], return_inverse=True)
-    return np.stack(np.divmod(key, faces.max() + 1), axis=-1), edge_of_side.reshape(-1, 3)
 
 
 def _split(

@@ -50,6 +50,7 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.precomputation.cloud_layers", "make_indirect"),
             *named("jaxrelight.precomputation.groups", "complete"),
+            *named("jaxrelight.precomputation.receiver_refinement", "refined"),
             *named("jaxrelight.precomputation.layer_files", "write_once made_once write_geometry write_lights"),
             *named("jaxrelight.precomputation.layer_files", "write_environment write_factor write_table factors_of"),
             *named("jaxrelight.precomputation.layers", "make_layers check_terms_of"),

@@ -117,8 +117,8 @@ class LightSolver:
         return float(tried[np.flatnonzero(errors <= _AS_GOOD**2 * errors.min())[-1]])
 
     def _judgement(self, weights: Float[np.ndarray, "k c"]) -> float:
-        made = sum(shown * of[None] for shown, of in zip(self._shown, weights, strict=True))
-        return self._error(made)
+        none = np.zeros((np.count_nonzero(self._judged), weights.shape[1]))
+        return self._error(sum((shown * of[None] for shown, of in zip(self._shown, weights, strict=True)), none))
 
     def _error(self, made: Float[np.ndarray, "j 3"]) -> float:
         """The sum of squares that the pixels that judge are missed by."""

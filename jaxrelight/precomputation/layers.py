@@ -71,7 +71,7 @@ def make_layers(
         gather: gathers bounced light, which is added to direct light.
     """
     with timed(seconds, "geometry"):
-        here = place(scene, method, folder)
+        here = place(scene, method, folder, report)
     folder, receivers = here.folder, here.receivers
     of_rays = adaptive_visibility.DIALS if method.rays == "adaptive" else ()
     visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP, *of_rays)

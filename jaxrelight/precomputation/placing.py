@@ -36,6 +36,8 @@ from jaxrelight.precomputation.layer_files import (
     write_table,
 )
 from jaxrelight.precomputation.load import receivers_of
+from jaxrelight.precomputation.receiver_refinement import refined
+from jaxrelight.progress import Report
 from jaxrelight.scene.scene import SENSOR_MATERIAL, Scene
 from jaxrelight.transport.model import SceneGeometry, fixed_view
 
@@ -212,8 +214,10 @@ class PlacedScene:
         }
 
 
-def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path | None) -> PlacedScene:
-    """Puts a scene's geometry into a store, and finds its receivers.
+def place(
+    scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path | None, report: Report | None = None
+) -> PlacedScene:
+    """Puts a scene's geometry into a store, and finds its receivers: vertices are added where light asks for them.
 
     Raises:
         InputError: if the camera sees nothing where receivers are pixels, if the folder cannot be made, or if a store
@@ -226,6 +230,11 @@ def place(scene: Scene, method: Transport | Indirect, folder: str | pathlib.Path
     material_of_mesh = np.array([names.index(name) for name in scene.material_of_mesh])
     key, whole_key = geometry_keys(scene, surfaces)
     folder = pathlib.Path(folder or store.default_folder(key))
+    if isinstance(method, Transport) and method.receivers == "vertices" and method.receiver_tolerance:
+        make_folder(folder)
+        scene = refined(scene, method.receiver_tolerance, folder, key, report)
+        surfaces = scene.surfaces()
+        key, whole_key = geometry_keys(scene, surfaces)
     tracer = Tracer(surfaces)
     bumps = [as_material(scene.materials[name]).normal_map for name in scene.material_of_mesh]
     receivers, seen = receivers_of(surfaces, tracer, material_of_mesh, bumps, scene.eye, method)

@@ -208,7 +208,7 @@ def _follow_edges(rays: _Rays, texels: Cells, is_open, traced, asked) -> UInt64[
         changed = rows[differs]
 
 
-def _differing(is_open, is_blocked, neighbours, rows=slice(None)) -> UInt64[np.ndarray, "n w"]:
+def _differing(is_open, is_blocked, neighbours, rows: slice | np.ndarray = slice(None)) -> UInt64[np.ndarray, "n w"]:
     """Cells that differ from a neighbour; those that are neither do from none."""
     near_open, near_blocked = (np.zeros_like(is_open[rows]) for _ in range(2))
     for neighbour in neighbours[rows].T:

@@ -82,8 +82,8 @@ class Sides:
         tracer, occluders = Tracer(surfaces), Occluders(surfaces)
         directions = cubemap.directions(resolution)
         ways = (
-            lambda *rays: trace_visibility(tracer, *rays, directions),
-            lambda *rays: trace_adaptively(tracer, occluders, *rays, resolution),
+            lambda origins, normals: trace_visibility(tracer, origins, normals, directions),
+            lambda origins, normals: trace_adaptively(tracer, occluders, origins, normals, resolution),
         )
         self.rays, self.seconds = np.zeros(2, int), np.zeros(2)
         bits: list[list[np.ndarray]] = [[], []]

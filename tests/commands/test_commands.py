@@ -201,6 +201,7 @@ def test_render_then_again(folder, run):
         "resolution": 8,
         "visibility_samples": 1,
         "rays": "adaptive",
+        "receiver_tolerance": 0.0,
         "reflection": "filtered",
         "reflection_tolerance": 0.01,
         "reflection_rays": 64,

@@ -19,6 +19,7 @@ SET: dict[str, dict[str, tuple[str, object]]] = {
         "resolution": ("--resolution 8", 8),
         "visibility_samples": ("--visibility-samples 4", 4),
         "rays": ("--rays all", "all"),
+        "receiver_tolerance": ("--receiver-tolerance 0.05", 0.05),
         "reflection": ("--reflection traced", "traced"),
         "reflection_tolerance": ("--reflection-tolerance 0.05", 0.05),
         "reflection_rays": ("--reflection-rays 9", 9),

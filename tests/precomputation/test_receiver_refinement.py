@@ -1,0 +1,100 @@
+"""Vertices are added where light is not linear between them, nowhere else, and without cracks."""
+
+import dataclasses
+import pathlib
+import tempfile
+
+import numpy as np
+import pytest
+
+import jaxrelight as jr
+from jaxrelight.geometry.subdivision import edges_of
+from jaxrelight.geometry.triangles import area_vectors
+from jaxrelight.precomputation import receiver_refinement
+from jaxrelight.precomputation.receiver_refinement import refined
+
+CAMERA = jr.Camera((1.2, 1.6, 2.0), (0, 0.1, 0), fov_y=50, width=40, height=30)
+SKY = jr.environment(np.ones((8, 16, 3), np.float32))
+
+
+def room() -> jr.Scene:
+    """A box over a floor of two triangles, of which one half is another part."""
+    box = jr.transformed(jr.box([0.6, 0.2, 0.6]), _moved(0, 0.3, 0))
+    halves = [jr.transformed(jr.plane((1, 2), 1), _moved(x, 0, 0)) for x in (-0.5, 0.5)]
+    parts = [jr.Part(halves[0], "paper"), jr.Part(halves[1], "wood"), jr.Part(box, "paper")]
+    return jr.Scene(parts, {"paper": jr.lambert(0.7), "wood": jr.lambert([0.6, 0.4, 0.2])}, CAMERA)
+
+
+def _moved(*by: float) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = by
+    return matrix
+
+
+@pytest.fixture(scope="module")
+def finer(tmp_path_factory) -> jr.Scene:
+    return refined(room(), 0.05, tmp_path_factory.mktemp("store"), "key")
+
+
+def test_surfaces_stay_what_they_are(finer):
+    for before, after in zip(room().parts, finer.parts, strict=True):
+        areas = [np.linalg.norm(area_vectors(of.mesh.vertices[of.mesh.faces]), axis=1).sum() for of in (before, after)]
+        np.testing.assert_allclose(areas[0], areas[1], rtol=1e-12)
+        np.testing.assert_array_equal(after.mesh.vertices[: len(before.mesh.vertices)], before.mesh.vertices)
+        np.testing.assert_allclose(np.linalg.norm(after.mesh.normals, axis=1), 1, rtol=1e-12)
+
+
+def test_no_vertex_lies_inside_the_edge_of_another_face(finer):
+    """Nor where two parts meet."""
+    halves = [part.mesh for part in finer.parts[:2]]
+    for mesh in halves:
+        edges = edges_of(mesh)
+        assert np.bincount(edges.of_sides.ravel()).max() <= 2
+    rims = [np.unique(mesh.vertices[np.abs(mesh.vertices[:, 0]) < 1e-9], axis=0) for mesh in halves]
+    assert len(rims[0]) > 2
+    np.testing.assert_allclose(rims[0], rims[1], atol=1e-9)
+    for mesh in halves:
+        inside = edges_of(mesh)
+        ends = mesh.vertices[inside.ends]
+        along, start = ends[:, 1] - ends[:, 0], ends[:, 0]
+        place = np.einsum("vex,ex->ve", mesh.vertices[:, None] - start, along) / np.sum(along**2, axis=1)
+        off = np.linalg.norm(mesh.vertices[:, None] - start - place[..., None] * along, axis=2)
+        assert not ((off < 1e-6) & (place > 1e-6) & (place < 1 - 1e-6)).any()
+
+
+def test_vertices_are_where_shadows_are(finer):
+    """Denser beside the box than away from it, and none on the upper side of the box, which sees open sky."""
+    for part in finer.parts[:2]:
+        corners = part.mesh.vertices[part.mesh.faces]
+        area = np.linalg.norm(area_vectors(corners), axis=1) / 2
+        near = np.abs(corners.mean(axis=1)[:, [0, 2]]).max(axis=1) < 0.5
+        assert area[near].mean() < 0.5 * area[~near].mean()
+    assert len(finer.parts[2].mesh.vertices) < 4 * len(room().parts[2].mesh.vertices)
+    open_sky = dataclasses.replace(room(), parts=room().parts[2:])
+    assert _count(refined_apart(open_sky)) == _count(open_sky)
+
+
+def refined_apart(scene: jr.Scene) -> jr.Scene:
+    """Without a store that is kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        return refined(scene, 0.05, pathlib.Path(folder), "key")
+
+
+def _count(scene: jr.Scene) -> int:
+    return sum(len(part.mesh.vertices) for part in scene.parts)
+
+
+def test_pictures_are_nearer_to_those_of_pixels(tmp_path, monkeypatch):
+    method = jr.Transport("vertices", resolution=16, coefficients="all")
+    exact = jr.prepare(room(), dataclasses.replace(method, receivers="pixels"), tmp_path / "exact").picture(SKY)
+    errors = []
+    for tolerance in (0.0, 0.05):
+        chosen = dataclasses.replace(method, receiver_tolerance=tolerance)
+        picture = jr.prepare(room(), chosen, tmp_path / "store").picture(SKY)
+        errors.append(jr.image_error(picture, exact).trimmed)
+    assert errors[1] < 0.03
+    assert errors[0] > 4 * errors[1]
+    # What is known is not traced again.
+    monkeypatch.setattr(receiver_refinement, "_rounds", None)
+    again = jr.prepare(room(), chosen, tmp_path / "store").picture(SKY)
+    np.testing.assert_array_equal(again, picture)
