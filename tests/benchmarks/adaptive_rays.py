@@ -64,9 +64,18 @@ def _meshes() -> dict[str, Callable]:
 
 
 class Sides:
-    """All rays and adaptive ones of groups of receivers: visibility, rays and seconds of both."""
+    """All rays and adaptive ones of groups of receivers.
 
-    def __init__(self, surfaces, resolution: int, groups: int | None):
+    Attributes:
+        rays: of both.
+        seconds: in one thread, in turns.
+        different: texels above horizons that differ.
+        hidden: of each receiver, the texels that are, by all rays.
+        lost: those of them that adaptive rays take for open.
+        irradiance: by both, under every sky, [2, receivers, skies, 3].
+    """
+
+    def __init__(self, surfaces, resolution: int, groups: int):
         from jaxrelight.basis import cubemap
         from jaxrelight.geometry.occluders import Occluders
         from jaxrelight.geometry.receivers import vertex_receivers
@@ -76,53 +85,47 @@ class Sides:
 
         receivers = vertex_receivers(surfaces, np.arange(len(surfaces.two_sided)))
         count = len(receivers.filled)
-        chosen = np.arange(count)
-        if groups is not None and groups < count:
-            chosen = np.sort(np.random.default_rng(0).choice(count, groups, replace=False))
+        chosen = np.sort(np.random.default_rng(0).choice(count, min(groups, count), replace=False))
         tracer, occluders = Tracer(surfaces), Occluders(surfaces)
-        directions = cubemap.directions(resolution)
+        directions, skies = cubemap.directions(resolution), _skies(resolution)
         ways = (
             lambda origins, normals: trace_visibility(tracer, origins, normals, directions),
             lambda origins, normals: trace_adaptively(tracer, occluders, origins, normals, resolution),
         )
-        self.rays, self.seconds = np.zeros(2, int), np.zeros(2)
-        bits: list[list[np.ndarray]] = [[], []]
+        self.rays, self.seconds, self.different = np.zeros(2, int), np.zeros(2), 0
+        hidden, lost, irradiance = [], [], []
         for group in chosen:
+            filled, seen = receivers.filled[group], []
             for way, trace in enumerate(ways):
                 start = time.perf_counter()
                 packed, rays = trace(receivers.origins[group], receivers.normals[group])
                 self.seconds[way] += time.perf_counter() - start
                 self.rays[way] += rays
-                own = np.unpackbits(packed, axis=1, bitorder="little").astype(bool)
-                bits[way].append(own[: receivers.filled[group]])
-        self.every, self.some = (np.concatenate(of) for of in bits)
-        normals = np.concatenate([receivers.normals[group][: receivers.filled[group]] for group in chosen])
-        self.cosines = np.maximum(normals @ directions.T, 0)
+                seen.append(np.unpackbits(packed, axis=1, bitorder="little")[:filled].astype(bool))
+            cosines = np.maximum(receivers.normals[group][:filled] @ directions.T, 0)
+            # On the horizon itself rounding decides.
+            clear = cosines > 1e-6
+            self.different += np.count_nonzero((seen[0] != seen[1]) & clear)
+            hidden.append((~seen[0] & clear).sum(axis=1))
+            lost.append((~seen[0] & seen[1] & clear).sum(axis=1))
+            irradiance.append([(of * cosines @ skies).reshape(filled, -1, 3) for of in seen])
+        self.hidden, self.lost = np.concatenate(hidden), np.concatenate(lost)
+        self.irradiance = np.concatenate(irradiance, axis=1)
 
     @property
-    def different(self) -> float:
-        """The share of the texels above horizons that differ."""
-        # On the horizon itself rounding decides.
-        return np.count_nonzero((self.every != self.some) & (self.cosines > 1e-6)) / self.rays[0]
-
-    def errors(self, resolution: int) -> list[float]:
+    def errors(self) -> list[float]:
         """Of irradiance under every sky, relative L2 over receivers and channels."""
-        from jaxrelight.basis import cubemap
-
-        weights = self.cosines * cubemap.solid_angles(resolution)
-        errors = []
-        for sky in _skies(resolution):
-            exact, found = ((of * weights) @ sky for of in (self.every, self.some))
-            errors.append(float(np.linalg.norm(found - exact) / np.linalg.norm(exact)))
-        return errors
+        exact, found = (np.moveaxis(of, 1, 0).reshape(len(SKIES), -1) for of in self.irradiance)
+        return [float(np.linalg.norm(b - a) / np.linalg.norm(a)) for a, b in zip(exact, found, strict=True)]
 
 
 @functools.cache
-def _skies(resolution: int) -> list[np.ndarray]:
+def _skies(resolution: int) -> np.ndarray:
+    """Radiance times solid angle of texels, skies and their channels side by side."""
     import jax.numpy as jnp
 
     import jaxrelight as jr
-    from jaxrelight.basis import latlong
+    from jaxrelight.basis import cubemap, latlong
     from jaxrelight.basis.cubemap import Texels
     from jaxrelight.lights.environment import coarsened, encode
 
@@ -131,7 +134,7 @@ def _skies(resolution: int) -> list[np.ndarray]:
         pixels = coarsened(jr.load_environment(shared("data", "env", file)).pixels, resolution)
         resampling = latlong.area_resampling(*pixels.shape[:2], resolution)
         skies.append(np.asarray(encode(jnp.asarray(pixels), 0.0, 1.0, resampling, Texels(resolution))))
-    return skies
+    return np.concatenate(skies, axis=1) * cubemap.solid_angles(resolution)[:, None]
 
 
 def _scenes(report: Report, resolution: int, groups: int):
@@ -139,8 +142,8 @@ def _scenes(report: Report, resolution: int, groups: int):
     for name, surfaces in _meshes().items():
         sides = Sides(surfaces(), resolution, groups)
         share, seconds = sides.rays[1] / sides.rays[0], sides.seconds[1] / sides.seconds[0]
-        rows.append([name, percent(share), percent(seconds), percent(sides.different)])
-        rows[-1] += [percent(error) for error in sides.errors(resolution)]
+        rows.append([name, percent(share), percent(seconds), percent(sides.different / sides.rays[0])])
+        rows[-1] += [percent(error) for error in sides.errors]
     report.text(
         "Rays and time are shares of those of all rays, the time in one thread and in turns; to be reached are "
         f"{OPEN:.0%} of the rays of the bunny and the dragon, and {CLOSED:.0%} of those of the staircase and Sponza. "
@@ -173,10 +176,16 @@ def _thin_things(report: Report, resolution: int):
     rows = []
     for name, things in {"seven wires": wires, "a fence of 21 bars": fence, "300 leaves": leaves}.items():
         sides = Sides(join([floor, *things]), resolution, -(-(25**2) // 128))
-        hidden = ~sides.every & (sides.cosines > 1e-6)
-        lost = (hidden & sides.some).sum(axis=1) / np.maximum(hidden.sum(axis=1), 1)
-        rows.append([name, percent(sides.rays[1] / sides.rays[0]), percent(lost.mean()), percent(np.mean(lost > 0.2))])
-        rows[-1] += [percent(error) for error in sides.errors(resolution)]
+        lost = sides.lost / np.maximum(sides.hidden, 1)
+        rows.append(
+            [
+                name,
+                percent(sides.rays[1] / sides.rays[0]),
+                percent(float(lost.mean())),
+                percent(float(np.mean(lost > 0.2))),
+            ]
+        )
+        rows[-1] += [percent(error) for error in sides.errors]
     report.text(
         "**Thin things**, about a texel wide, over a floor: of what each receiver has hidden, the share that is lost "
         "in the mean, and the share of receivers that lose more than a fifth, to be 1 % at most. Irradiance is to be "
