@@ -235,7 +235,7 @@ def test_what_is_approximate_is_told(relighter, view):
 
 @pytest.mark.slow
 def test_a_channel_without_light_is_black(relighter, view):
-    found = environment(relighter, [pictured(relighter, view) * np.float32([1, 0, 0])], [view], unknowns=2)
+    found = environment(relighter, [pictured(relighter, view) * np.array([1, 0, 0], np.float32)], [view], unknowns=2)
     assert not found.texels[:, 1:].any()
     assert found.certainty.told[1:] == (0, 0)
     assert found.residual < 2e-3
