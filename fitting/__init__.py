@@ -9,8 +9,9 @@ The public names, each loaded when it is first used:
     scenes          with_lobes
 """
 
-import importlib
 from typing import Any
+
+from jaxrelight.late_names import late_names
 
 _HOMES = {
     "lafortune": ("fit_lafortune", "LafortuneFit"),
@@ -20,14 +21,11 @@ _HOMES = {
     "scene_lobes": ("with_lobes",),
     "solve": ("fit_lobes", "Fits", "Options", "Verdict"),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+_load, __all__ = late_names("fitting", _HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'fitting' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"fitting.{_HOME_OF[name]}"), name)
+    return _load(name)
 
 
 def __dir__() -> list[str]:

@@ -22,6 +22,8 @@ The public names, each loaded when it is first used:
 import importlib
 from typing import Any
 
+from jaxrelight.late_names import late_names
+
 _HOMES = {
     "scene.scene": ("Scene", "Part"),
     "scene.scene_file": ("load_scene", "load_lights"),
@@ -60,19 +62,16 @@ _HOMES = {
     "images": ("read_image", "write_image", "tone_map", "auto_exposure", "image_error"),
     "compilation_cache": ("keep_compilations",),
     "errors": ("InputError",),
+    "": ("inverse",),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted([*_HOME_OF, "inverse", "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
+_load, _names = late_names("jaxrelight", _HOMES)
+__all__ = sorted([*_names, "__version__"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("jaxrelight")
-    if name == "inverse":
-        return importlib.import_module("jaxrelight.inverse")
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'jaxrelight' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"jaxrelight.{_HOME_OF[name]}"), name)
+    return _load(name)
 
 
 def __dir__() -> list[str]:

@@ -260,13 +260,16 @@ def write_header(folder: pathlib.Path, header: Mapping, name: str = HEADER) -> N
         _write_sealed(folder / name, {"format": FORMAT, **header})
 
 
+_KINDS = "geometry", "refinement", "visibility", "filtered", "cloud", "albedo", "between"
+
+
 def layers_of(header: Mapping) -> list[str]:
     """The names of the layers that a header refers to.
 
     Raises:
         ValueError: if one is no name of a layer of its kind.
     """
-    named = [(kind, header.get(kind)) for kind in ("geometry", "visibility", "filtered", "cloud", "albedo", "between")]
+    named = [(kind, header.get(kind)) for kind in _KINDS]
     named.append(("environment", (header["environment"] or {}).get("pixels")))
     named.append(("lights", (header.get("lights") or {}).get("layer")))
     for material in header["materials"]:

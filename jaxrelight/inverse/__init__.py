@@ -7,8 +7,9 @@ The public names, each loaded when it is first used, as `jr.inverse.environment`
     lamps       lamps, LuxTarget, InverseLamps
 """
 
-import importlib
 from typing import Any
+
+from jaxrelight.late_names import late_names
 
 _HOMES = {
     "solve_light": ("environment", "InverseLight"),
@@ -17,14 +18,11 @@ _HOMES = {
     "solve_lamps": ("lamps", "InverseLamps"),
     "lamp_targets": ("LuxTarget",),
 }
-_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
-__all__ = sorted(_HOME_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+_load, __all__ = late_names("jaxrelight.inverse", _HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'jaxrelight.inverse' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"jaxrelight.inverse.{_HOME_OF[name]}"), name)
+    return _load(name)
 
 
 def __dir__() -> list[str]:

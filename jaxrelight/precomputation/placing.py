@@ -90,6 +90,7 @@ class PlacedScene:
         material_of_mesh: their numbers.
         layer: of that geometry.
         key: of all that rays depend on.
+        refinement: the name of the layer that tells which edges were halved; None where none may be.
     """
 
     scene: Scene
@@ -100,6 +101,7 @@ class PlacedScene:
     material_of_mesh: Int[np.ndarray, " m"]
     layer: store.Layer
     key: str
+    refinement: str | None
 
     @property
     def receivers(self) -> Receivers:
@@ -204,6 +206,7 @@ class PlacedScene:
             "scene": scene.name,
             "method": {"name": self.method.name, "dials": dataclasses.asdict(self.method)},
             "geometry": self.layer.folder.name,
+            **({"refinement": self.refinement} if self.refinement else {}),
             **layers,
             "material_of_mesh": self.material_of_mesh.tolist(),
             "materials": materials,
@@ -229,10 +232,10 @@ def place(
     names = sorted(set(scene.material_of_mesh), key=lambda name: (name == SENSOR_MATERIAL, name))
     material_of_mesh = np.array([names.index(name) for name in scene.material_of_mesh])
     key, whole_key = geometry_keys(scene, surfaces)
-    folder = pathlib.Path(folder or store.default_folder(key))
+    folder, refinement = pathlib.Path(folder or store.default_folder(key)), None
     if isinstance(method, Transport) and method.receivers == "vertices" and method.receiver_tolerance:
         make_folder(folder)
-        scene = refined(scene, method.receiver_tolerance, folder, key, report)
+        scene, refinement = refined(scene, method.receiver_tolerance, folder, key, report)
         surfaces = scene.surfaces()
         key, whole_key = geometry_keys(scene, surfaces)
     tracer = Tracer(surfaces)
@@ -243,7 +246,7 @@ def place(
     make_folder(folder)
     layer = write_geometry(folder / f"geometry-{whole_key}", surfaces)
     geometry = SceneGeometry(surfaces, tracer, tuple(bumps), (), receivers, seen)
-    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key)
+    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key, refinement)
 
 
 def geometry_keys(scene: Scene, surfaces: Surfaces) -> tuple[str, str]:

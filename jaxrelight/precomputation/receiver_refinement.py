@@ -33,14 +33,20 @@ _RESOLUTION = 16
 _LONGEST, _SHORTEST = 1 / 4, 1 / 64
 # Of the skies of the panel, all but one are brighter around an axis, as a power of the cosine.
 _POWER = 4
+# Two of them halve a face in both directions: these are many more than lead from the scene's size to the shortest edge.
+_MOST_ROUNDS = 32
 # Middles of edges in the same place, as those of two parts at their border, differ by less.
 _SAME_PLACE = 1e-6
 # Of layers: what a mesh is halved by, apart from the scene and the tolerance.
 DIALS = _RESOLUTION, _LONGEST, _SHORTEST, _POWER
 
 
-def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, report: Report | None = None) -> Scene:
-    """The scene with more vertices in its meshes; which edges were halved is kept in a store, and read from there.
+def refined(
+    scene: Scene, tolerance: float, folder: pathlib.Path, key: str, report: Report | None = None
+) -> tuple[Scene, str]:
+    """The scene with more vertices in its meshes, and the name of the store's layer that tells which edges were halved.
+
+    What that layer tells is not traced again.
 
     Args:
         scene: any.
@@ -67,7 +73,7 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
             mask = np.zeros(len(edges.ends), bool)
             mask[chosen] = True
             meshes[number % parts] = halved(mesh, edges, mask)
-    return _with_meshes(scene, meshes)
+    return _with_meshes(scene, meshes), name
 
 
 def _with_meshes(scene: Scene, meshes: Sequence[Mesh]) -> Scene:
@@ -94,12 +100,12 @@ class _Light(NamedTuple):
 def _rounds(scene: Scene, tolerance: float, report: Report | None) -> list[list[Bool[np.ndarray, " _"]]]:
     """Which edges of each part are halved, one time after the other."""
     surfaces = scene.surfaces()
-    lit = _LitVertices(Tracer(surfaces), Occluders(surfaces))
+    lit = _LitVertices(Tracer(surfaces), Occluders(surfaces), report)
     meshes = [part.mesh for part in scene.parts]
     light = lit.at(scene, meshes, [np.arange(len(mesh.vertices)) for mesh in meshes])
     settled: list[set[int]] = [set() for _ in meshes]
     rounds: list[list[Bool[np.ndarray, " _"]]] = []
-    while True:
+    for _ in range(_MOST_ROUNDS):
         edges = [edges_of(mesh) for mesh in meshes]
         lengths = [
             np.linalg.norm(np.diff(mesh.vertices[of.ends], axis=1)[:, 0], axis=-1) / surfaces.radius
@@ -108,16 +114,14 @@ def _rounds(scene: Scene, tolerance: float, report: Report | None) -> list[list[
         long = [length > _SHORTEST for length in lengths]
         asked = [one & ~np.isin(_names(of), list(known)) for one, of, known in zip(long, edges, settled, strict=True)]
         if not any(one.any() for one in asked):
-            return rounds
-        if report:
-            report("vertices", len(rounds), len(rounds) + 1)
+            break
         tried = [halved(*given) for given in zip(meshes, edges, asked, strict=True)]
         new = [np.arange(len(mesh.vertices), len(more.vertices)) for mesh, more in zip(meshes, tried, strict=True)]
         middles = lit.at(scene, tried, new)
         chosen = [_needed(*given, tolerance) for given in zip(edges, asked, lengths, light, middles, strict=True)]
         chosen = _completed(meshes, edges, lengths, long, chosen, surfaces.radius)
         if not any(one.any() for one in chosen):
-            return rounds
+            break
         more_light = []
         for of, ask, take, now, middle, known in zip(edges, asked, chosen, light, middles, settled, strict=True):
             known.update(_names(of)[ask & ~take].tolist())
@@ -130,6 +134,7 @@ def _rounds(scene: Scene, tolerance: float, report: Report | None) -> list[list[
             more_light.append(now.beside(_Light(values, is_open)))
         meshes = [halved(*given) for given in zip(meshes, edges, chosen, strict=True)]
         light, rounds = more_light, [*rounds, chosen]
+    return rounds
 
 
 def _names(edges: Edges) -> Int[np.ndarray, " e"]:
@@ -182,8 +187,8 @@ def _shared(meshes, edges, long, chosen, radius: float) -> list[Bool[np.ndarray,
 class _LitVertices:
     """Traces what reaches vertices of the scene's surfaces."""
 
-    def __init__(self, tracer: Tracer, occluders: Occluders):
-        self._tracer, self._occluders = tracer, occluders
+    def __init__(self, tracer: Tracer, occluders: Occluders, report: Report | None):
+        self._tracer, self._occluders, self._report, self._times = tracer, occluders, report, 0
         self._directions = cubemap.directions(_RESOLUTION)
         axes = np.concatenate([np.eye(3), -np.eye(3)])
         lobes = np.maximum(self._directions @ axes.T, 0) ** _POWER
@@ -222,6 +227,8 @@ class _LitVertices:
             values[block] = (seen * cosines) @ self._skies
             is_open[block] = ((seen > 0) | (cosines < 1e-3)).all(axis=1)
 
-        for _ in Threads().run(trace, range(len(blocks))):
-            pass
+        self._times += 1
+        for done, _ in enumerate(Threads().run(trace, range(len(blocks)))):
+            if self._report:
+                self._report(f"vertices, pass {self._times}", min(GROUP * (done + 1), len(slots)), len(slots))
         return _Light(values, is_open)

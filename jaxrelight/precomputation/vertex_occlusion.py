@@ -111,6 +111,8 @@ def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surface
         material_of_mesh, layer = np.array(header["material_of_mesh"]), header.get("filtered")
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{folder / 'store.json'}: damaged; run precompute again") from None
+    if header.get("refinement"):
+        raise InputError(f"{folder}: its vertices are more than the scene's; name a store without a receiver tolerance")
     if not is_same:
         raise InputError(f"{folder}: is the store of another geometry than {scene.name}; name its own, or none")
     if not layer:

@@ -156,18 +156,18 @@ class _Rays:
         return above
 
     def unsampled(self, cells: Cells, sampled: UInt64[np.ndarray, "n w"]) -> UInt64[np.ndarray, "n w"]:
-        """Cells that are above the horizon in part, but for their samples."""
+        """Cells of which a part is above the horizon, though their sample is not."""
         # The height over a plane is linear in a face, so that one of the corners is the highest.
         last = (cells.side - 1) * np.array([0, 1, self._resolution, self._resolution + 1])
         return np.bitwise_or.reduce([self.above[cells.corner + one] for one in last]) & ~sampled
 
     def in_quarter(self, cells: Cells) -> UInt64[np.ndarray, "n w"]:
-        """Cells in which the samples of those that they lie in are."""
+        """Cells that hold the sample of the cell of which they are a quarter."""
         down, right = (of // cells.side % 2 for of in (self._down, self._right))
         return _packed(np.arange(4)[:, None] == (2 * down + right)[None])[cells.quarter]
 
     def cast(self, asked: UInt64[np.ndarray, "n w"], cells: Cells) -> UInt64[np.ndarray, "n w"]:
-        """Of the rays that are asked for, those that hit nothing."""
+        """Casts the rays that are asked for, and marks those that hit nothing."""
         bits = _unpacked(asked)
         place = np.flatnonzero(bits)
         cell, receiver = np.divmod(place, bits.shape[1])
@@ -190,7 +190,7 @@ def _above(normals: Float[np.ndarray, "m 3"], resolution: int) -> UInt64[np.ndar
 
 
 def _follow_edges(rays: _Rays, texels: Cells, is_open, traced, asked) -> UInt64[np.ndarray, "d w"]:
-    """Casts rays to texels without one that differ from a neighbour, until there are none."""
+    """Casts rays to texels that had none and differ from a neighbour, until no such texel is left."""
     is_open, left, changed = is_open.copy(), rays.above & asked & ~traced, None
     while True:
         rows = np.arange(len(is_open)) if changed is None else np.unique(texels.neighbours[changed])
@@ -209,7 +209,7 @@ def _follow_edges(rays: _Rays, texels: Cells, is_open, traced, asked) -> UInt64[
 
 
 def _differing(is_open, is_blocked, neighbours, rows: slice | np.ndarray = slice(None)) -> UInt64[np.ndarray, "n w"]:
-    """Cells that differ from a neighbour; those that are neither do from none."""
+    """Cells that differ from a neighbour; one that is neither open nor blocked differs from none."""
     near_open, near_blocked = (np.zeros_like(is_open[rows]) for _ in range(2))
     for neighbour in neighbours[rows].T:
         near_open |= is_open[neighbour]
@@ -218,7 +218,7 @@ def _differing(is_open, is_blocked, neighbours, rows: slice | np.ndarray = slice
 
 
 def _differing_nearby(is_open, is_blocked) -> UInt64[np.ndarray, "n w"]:
-    """Cells in which receivers nearby differ, for all of these."""
+    """Cells in which receivers nearby differ from each other, marked for all of those receivers."""
     both = (is_open.view(_NEARBY) != 0) & (is_blocked.view(_NEARBY) != 0)
     return np.where(both, np.iinfo(_NEARBY).max, 0).astype(_NEARBY).view(np.uint64) & (is_open | is_blocked)
 

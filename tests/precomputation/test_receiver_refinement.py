@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrelight as jr
+from jaxrelight.files import store as stores
 from jaxrelight.geometry.subdivision import edges_of
 from jaxrelight.geometry.triangles import area_vectors
 from jaxrelight.precomputation import receiver_refinement
@@ -33,7 +34,7 @@ def _moved(*by: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def finer(tmp_path_factory) -> jr.Scene:
-    return refined(room(), 0.05, tmp_path_factory.mktemp("store"), "key")
+    return refined(room(), 0.05, tmp_path_factory.mktemp("store"), "key")[0]
 
 
 def test_surfaces_stay_what_they_are(finer):
@@ -77,7 +78,7 @@ def test_vertices_are_where_shadows_are(finer):
 def refined_apart(scene: jr.Scene) -> jr.Scene:
     """Without a store that is kept."""
     with tempfile.TemporaryDirectory() as folder:
-        return refined(scene, 0.05, pathlib.Path(folder), "key")
+        return refined(scene, 0.05, pathlib.Path(folder), "key")[0]
 
 
 def _count(scene: jr.Scene) -> int:
@@ -98,3 +99,7 @@ def test_pictures_are_nearer_to_those_of_pixels(tmp_path, monkeypatch):
     monkeypatch.setattr(receiver_refinement, "_rounds", None)
     again = jr.prepare(room(), chosen, tmp_path / "store").picture(SKY)
     np.testing.assert_array_equal(again, picture)
+    used = stores.layers_of(stores.read_header(tmp_path / "store"))
+    assert any(name.startswith("refinement-") for name in used)
+    with pytest.raises(jr.InputError, match="its vertices are more than the scene's"):
+        jr.prepare(room(), jr.Prefiltered(map_rows=32), tmp_path / "store")
