@@ -12,7 +12,7 @@ from jaxrelight.files import store as stores
 from jaxrelight.geometry.subdivision import edges_of
 from jaxrelight.geometry.triangles import area_vectors
 from jaxrelight.precomputation import receiver_refinement
-from jaxrelight.precomputation.receiver_refinement import refined
+from jaxrelight.precomputation.receiver_refinement import _completed, refined
 
 CAMERA = jr.Camera((1.2, 1.6, 2.0), (0, 0.1, 0), fov_y=50, width=40, height=30)
 SKY = jr.environment(np.ones((8, 16, 3), np.float32))
@@ -61,6 +61,25 @@ def test_no_vertex_lies_inside_the_edge_of_another_face(finer):
         place = np.einsum("vex,ex->ve", mesh.vertices[:, None] - start, along) / np.sum(along**2, axis=1)
         off = np.linalg.norm(mesh.vertices[:, None] - start - place[..., None] * along, axis=2)
         assert not ((off < 1e-6) & (place > 1e-6) & (place < 1 - 1e-6)).any()
+
+
+def test_an_edge_is_halved_in_both_parts_that_meet_there():
+    """Though only one of them asks for it."""
+    meshes = [part.mesh for part in room().parts[:2]]
+    edges = [edges_of(mesh) for mesh in meshes]
+    lengths = [
+        np.linalg.norm(np.diff(m.vertices[e.ends], axis=1)[:, 0], axis=-1) for m, e in zip(meshes, edges, strict=True)
+    ]
+    middles = [mesh.vertices[of.ends].mean(axis=1) for mesh, of in zip(meshes, edges, strict=True)]
+    border = [np.abs(middle[:, 0]) < 1e-9 for middle in middles]
+    long = [length > 0 for length in lengths]
+    chosen = _completed(meshes, edges, lengths, long, [border[0], np.zeros_like(border[1])], 1.0)
+    assert border[0].sum() == 1
+    for own, asked, length, of in zip(chosen, border, lengths, edges, strict=True):
+        assert own[asked].all()
+        # The longest side of each face is halved, too.
+        sides = of.of_sides[own[of.of_sides].any(axis=1)]
+        assert own[np.take_along_axis(sides, length[sides].argmax(axis=1)[:, None], axis=1)].all()
 
 
 def test_vertices_are_where_shadows_are(finer):

@@ -81,6 +81,27 @@ def test_wires_as_wide_as_a_texel_are_met(width, lost):
     assert rays[1] < 0.65 * rays[0]
 
 
+def test_what_lies_between_the_middles_of_cells_is_met():
+    """A ball that only the corners of four first cells see."""
+    surfaces = join([jr.transformed(jr.sphere(0.05, 8), _moved([0, 1, 0])), jr.plane([0.1, 0.1])])
+    origin, up = surfaces.to_scene([[0.0, 1e-3, 0.0]]), np.array([[0.0, 1.0, 0.0]])
+    tracer, occluders = Tracer(surfaces), Occluders(surfaces)
+    every, _ = trace_visibility(tracer, origin, up, cubemap.directions(64))
+    some, rays = trace_adaptively(tracer, occluders, origin, up, 64)
+    hidden = np.unpackbits(every, bitorder="little").astype(bool) < (cubemap.directions(64)[:, 1] > 0)
+    assert 4 <= hidden.sum() <= 24
+    assert not np.unpackbits(some, bitorder="little")[hidden].any()
+    assert rays < 100
+
+
+def test_a_gap_above_the_horizon_is_met():
+    """Under a wide lid the sky is seen beside it alone, where samples of many cells are below the horizon."""
+    lid = jr.transformed(jr.plane([2, 2]), _moved([0, 0.06, 0]) @ np.diag([1.0, -1, -1, 1]))
+    every, some, *_ = both_of(join([jr.plane([0.2, 0.2], 2), lid]), 64, slice(1))
+    assert every.sum() > 500
+    assert np.count_nonzero(every & ~some) < 0.01 * every.sum()
+
+
 def test_occluders_are_only_where_they_may_be():
     """A ball over one receiver is in its cone of directions, which is not much wider than the ball."""
     ball = jr.transformed(jr.sphere(0.1, 8), _moved([0, 1, 0]))

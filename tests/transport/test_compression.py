@@ -125,6 +125,27 @@ def test_clusters_are_baked_again_as_rows_of_what_they_share(scene, folder):
         np.testing.assert_allclose(after, before, atol=2e-4 * np.abs(before).max())
 
 
+def test_rows_keep_the_coefficients_that_count_under_natural_light(scene, folder):
+    """Not the largest: those whose squares, times the light's, leave out the least."""
+    transport, spectrum = opened(scene, folder, coefficients=8), natural_spectrum(8)
+    block = block_of(transport, "floor")
+    rows = np.concatenate(whole_rows(transport, block))
+    kept = np.asarray(block.operator.rows(np.arange(len(rows))))
+    left, least = (
+        np.sum(np.square((rows - of) * spectrum), axis=(1, 2)) for of in (kept, _largest(rows * spectrum) / spectrum)
+    )
+    np.testing.assert_allclose(left, least, rtol=1e-3, atol=1e-9)
+    assert left.sum() < 0.95 * np.sum(np.square((rows - _largest(rows)) * spectrum))
+
+
+def _largest(rows: np.ndarray) -> np.ndarray:
+    """Rows of the eight coefficients whose squares, summed over channels, are largest."""
+    order = np.argsort(-np.sum(np.square(rows), axis=1), axis=-1)[:, None, :8]
+    cut = np.zeros_like(rows)
+    np.put_along_axis(cut, np.broadcast_to(order, (*rows.shape[:2], 8)), np.take_along_axis(rows, order, 2), axis=2)
+    return cut
+
+
 def test_indices_out_of_range_are_refused(scene, tmp_path):
     made = precompute(scene, SMALL, tmp_path / "store")
     name = made.header["materials"][0]["transport"]
