@@ -10,6 +10,8 @@ from tests.benchmarks.measuring import ROOT
 
 PROGRAMS = (
     "precompute",
+    "adaptive_rays",
+    "coarse_meshes",
     "kernels",
     "reference_images",
     "terms_curve",

@@ -130,7 +130,7 @@ def test_rows_keep_the_coefficients_that_count_under_natural_light(scene, folder
     transport, spectrum = opened(scene, folder, coefficients=8), natural_spectrum(8)
     block = block_of(transport, "floor")
     rows = np.concatenate(whole_rows(transport, block))
-    kept = np.asarray(block.operator.rows(np.arange(len(rows))))
+    kept = np.asarray(block.operator.rows(jnp.arange(len(rows))))
     left, least = (
         np.sum(np.square((rows - of) * spectrum), axis=(1, 2)) for of in (kept, _largest(rows * spectrum) / spectrum)
     )

@@ -1,0 +1,72 @@
+"""Coarse meshes at vertices: what receivers where light needs them bring, against exact transport at pixels."""
+
+import argparse
+import dataclasses
+import pathlib
+import tempfile
+import time
+
+from tests.benchmarks.measuring import Report, percent, shared
+
+MODULE = "tests.benchmarks.coarse_meshes"
+MESHES = {
+    "teapot": ("teapot.obj", None),
+    "Cornell box": ("CornellBox-Original.obj", None),
+    "Sponza": ("sponza_crytek_stripped.obj", ((-1050, 260, -40), (0, 420, 20), 70.0)),
+}
+SKIES = {
+    "Grace": "grace_latlong.exr",
+    "Venice": "pmndrs_venice.exr",
+    "sunset": "blender_sunset.exr",
+    "Uffizi": "probulator_uffizi.hdr",
+}
+TOLERANCES = 0.0, 0.1, 0.05, 0.02
+
+
+def main():
+    parser = argparse.ArgumentParser(prog=f"python -m {MODULE}", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one mesh, resolution 8; RESULTS.md is left as it is")
+    quick = parser.parse_args().quick
+    resolution, side = (8, 48) if quick else (32, 192)
+    parameters = (
+        f"resolution {resolution}, all coefficients, {side}×{side}; files as they are, put on a floor and framed"
+    )
+    with Report("coarse_meshes", "Coarse meshes", parameters, not quick) as report:
+        rows = [row for name in list(MESHES)[: 1 if quick else None] for row in _rows(name, resolution, side)]
+        report.text(
+            "By receiver tolerance, of which 0 leaves meshes as they are: receivers, seconds of the whole "
+            "precomputation, and the error against pixels under each sky, trimmed / untrimmed."
+        )
+        report.table(["mesh", "tolerance", "receivers", "time", *SKIES], rows)
+
+
+def _rows(name: str, resolution: int, side: int) -> list[list[str]]:
+    import jaxrelight as jr
+
+    file, seen = MESHES[name]
+    scene = jr.scene_of_mesh(shared("data", "mesh", file))
+    camera = scene.camera if seen is None else jr.Camera(seen[0], seen[1], fov_y=seen[2])
+    scene = dataclasses.replace(scene, camera=dataclasses.replace(camera, width=side, height=side))
+    lights = {sky: jr.load_environment(shared("data", "env", of)) for sky, of in SKIES.items()}
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = pathlib.Path(temporary)
+        exact = jr.prepare(scene, jr.Transport("pixels", resolution=resolution, coefficients="all"), folder / "exact")
+        view = exact.view()
+        pictures = {sky: exact.shade(exact.light(light), view).rgba() for sky, light in lights.items()}
+        for tolerance in TOLERANCES:
+            method = jr.Transport("vertices", resolution=resolution, coefficients="all", receiver_tolerance=tolerance)
+            start = time.perf_counter()
+            relighter = jr.prepare(scene, method, folder / str(tolerance))
+            seconds, view = time.perf_counter() - start, relighter.view()
+            row = [name, f"{tolerance:g}", f"{relighter.transport.receivers.count:,}", f"{seconds:.1f} s"]
+            for sky, light in lights.items():
+                error = jr.image_error(relighter.shade(relighter.light(light), view).rgba(), pictures[sky])
+                row.append(f"{percent(error.trimmed)} / {percent(error.untrimmed)}")
+            rows.append(row)
+            print(row, flush=True)
+    return rows
+
+
+if __name__ == "__main__":
+    main()
