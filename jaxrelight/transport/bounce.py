@@ -81,7 +81,8 @@ class Gather:
         """
         assert transport.method.receivers == "vertices"
         self.resolution = resolution
-        self.key = store.key_of(key, resolution, nearest)
+        enclosed = transport.geometry.enclosed
+        self.key = store.key_of(key, resolution, nearest, *([enclosed] if enclosed.any() else []))
         self._transport = transport
         self._nearest = nearest
         self._parts = [[_part(one, block) for one in parts_of(block.operator)] for block in transport.blocks]
@@ -183,8 +184,7 @@ class Gather:
     def _closings(self, hits: Hits):
         """For each block that is hit: its number, which hits, their corners in its groups, weights and view sides."""
         points, transport = hits.points, self._transport
-        corners = np.where(points.back[:, None], transport.surfaces.back[points.corners], points.corners)
-        weights = points.barycentric
+        corners, weights = transport.geometry.corners(points)
         if self._nearest:
             chosen = np.argmax(weights, axis=1)[:, None]
             corners, weights = np.take_along_axis(corners, chosen, axis=1), np.ones((len(corners), 1))
