@@ -12,6 +12,8 @@ PROGRAMS = (
     "precompute",
     "adaptive_rays",
     "coarse_meshes",
+    "scene_needs",
+    "break_even",
     "kernels",
     "reference_images",
     "terms_curve",
