@@ -37,7 +37,9 @@ INTEGRATORS: dict[str, tuple[dict[str, Any], str]] = {
 }
 REFERENCE = "4 light samples, multijitter"
 # Samples of the trials from which the fastest is chosen, those of a pass of the reference, and the most that are tried.
-TRIALS, PASS, MOST = (16, 64), 256, 2**15
+TRIALS, PASS, MOST = (16, 64), 1024, 2**15
+# Frames are timed up to three times, and no more after so many seconds.
+TIMED = 20
 # Paths that Mitsuba holds in memory at once.
 PATHS = 2**25
 
@@ -141,10 +143,11 @@ def measure(report: Report, folder: pathlib.Path, skies: list[str], sizes: tuple
     report.text(
         "**Break-even.** Errors are against Mitsuba's picture of many samples, trimmed, over pixels that surfaces "
         "cover whole; behind them the mean of ours over that of the reference, and what the reference itself is off, "
-        "from its two halves. Mitsuba's samples are searched for by powers of two, with lines between them in "
-        "logarithms; its frame is timed warm, in its fastest variant and way, with its light as it was, and ours is a "
-        "turned sky: light, shading, and the picture as an array of the host. The frames until it pays are the "
-        "precomputation's seconds over what a frame of ours saves (target: those of adaptive rays are at most "
+        "from its two halves, which adds to both sides' errors alike. Mitsuba's samples are searched for by powers of "
+        "two, with lines between them in logarithms; its frame is timed warm, in its fastest variant and way, with its "
+        "light as it was, and ours is a turned sky: light, shading, and the picture as an array of the host. The "
+        "frames until it pays are the precomputation's seconds over what a frame of ours saves (target: those of "
+        "adaptive rays are at most "
         f"{TARGET:g} of those of all rays)."
     )
     heads = ["sky, size", "error: all", "adaptive", "mean ratio", "reference off", "Mitsuba's samples", "its frame"]
@@ -298,14 +301,15 @@ class Rendered:
         sensor = self._mi.load_dict({**self._sensor, "sampler": {"type": sampler, "sample_count": samples}})
         return np.array(self._mi.render(self._scene, integrator=made, sensor=sensor, spp=samples, seed=seed))
 
-    def seconds(self, samples: int, runs: int = 3) -> float:
-        """Of a frame, the median of some, warm."""
-        times = []
-        for run in range(runs + 1):
+    def seconds(self, samples: int) -> float:
+        """Of a frame, the median of three or fewer, warm."""
+        self.picture(min(samples, TRIALS[0]))
+        times: list[float] = []
+        while len(times) < 3 and sum(times) < TIMED:
             start = time.perf_counter()
-            self.picture(samples, seed=run)
+            self.picture(samples, seed=len(times))
             times.append(time.perf_counter() - start)
-        return float(np.median(times[1:]))
+        return float(np.median(times))
 
 
 def _speed(variant: str, side: int, quick: bool) -> dict:
@@ -382,7 +386,7 @@ def _fastest(
     for way in list(INTEGRATORS)[:: 3 if quick else 1]:
         rendered = Rendered(variant, sky, size.side, way, quick)
         errors = [_error(rendered.picture(count, seed=100 + count), reference) for count in TRIALS]
-        seconds = rendered.seconds(TRIALS[-1], 2)
+        seconds = rendered.seconds(TRIALS[-1])
         slope = math.log(errors[1] / errors[0]) / math.log(TRIALS[1] / TRIALS[0])
         # Samples that do not depend on each other have half a power, and stratified ones no more than one.
         expected[way] = seconds * (error / errors[1]) ** (1 / min(max(slope, -1.0), -0.5))
