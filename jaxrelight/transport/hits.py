@@ -1,8 +1,9 @@
 """What receivers see of surfaces: the rays that bounced light is gathered along, none to where the sky is seen.
 
 Visibility that was traced before tells where the sky is: there is no ray where all of its texels around a direction are
-open. Elsewhere each direction has its own. What rays around a direction hit would not spare it: to compute where it
-meets the plane of a face takes as long as embree takes to find the face that it hits.
+open. Elsewhere each direction has its own. Directions between others that hit the same face would need none, but these
+are few on most meshes, and to compute where they meet its plane takes half to all of the time of their rays: a table of
+`tests/benchmarks/adaptive_rays.py` has both.
 """
 
 import itertools
