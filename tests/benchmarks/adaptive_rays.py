@@ -268,10 +268,10 @@ def _hits_of_bounces(report: Report, resolution: int, groups: int):
         rows[-1] += [f"{sides.by_plane / sides.by_ray:.2f}" if hits > 1 else "–"]
     report.text(
         "Rays that bounces gather along, counted apart from those of visibility, which is adaptive. Hits, rays and "
-        "time are shares of those of all rays; the time is the processor's, with all that is computed of hits, in turns. "
-        "Lost are shares of the hits. Then follows the error of irradiance by light that is reflected once, to be "
-        f"{LOST:.1%} at most, and {UNDER_GRACE:.1%} under Grace. The last two columns tell what more could be spared: "
-        "the share of the hits that lie between four directions, four texels apart, which hit the same face, and the "
+        "time are shares of those of all rays; the time is the processor's, with all that is computed of hits, in "
+        "turns. Lost are shares of the hits. Then follows the error of irradiance by light that is reflected once, to "
+        f"be {LOST:.1%} at most, and {UNDER_GRACE:.1%} under Grace. The last two columns tell what more could be "
+        "spared: the share of the hits that lie between four directions, four texels apart, that hit one face, and the "
         "time it takes to compute hits from the planes of their faces over that of their rays."
     )
     report.table(["scene", "hits", "rays", "time", "lost", *SKIES, "same face", "plane / ray"], rows)
