@@ -28,6 +28,7 @@ _MEANINGS = {
     "lamp": "where a [[light]] of type point lights what that camera sees, in metres, and its intensity in W/sr",
     "environment": "pixels of its map",
     "lights": "local ones",
+    "left_out": "when it was precomputed",
     "receivers": "points at which transport is known",
     "rows": "of the operator: receivers, times the terms of their materials",
     "kept_energy": "the share of transport's squares that the kept coefficients hold",
@@ -72,6 +73,7 @@ def _store(path: pathlib.Path) -> dict:
     from jaxrelight.commands.pictures import describe
     from jaxrelight.files import store
     from jaxrelight.lighting.prepare import open_store
+    from jaxrelight.precomputation.account import Account
 
     header = store.read_header(path)
     relighter, used = open_store(path), set(store.layers_of(header))
@@ -98,6 +100,9 @@ def _store(path: pathlib.Path) -> dict:
         "leaves_out": list(relighter.method.leaves_out(environment=True, local=bool(local))),
         **describe(relighter),
     }
+    if "account" in header:
+        account = Account(**header["account"]["numbers"])
+        summary["left_out"] = {"line": account.line, **dataclasses.asdict(account)}
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
     if dropped and isinstance(relighter.method, Transport):
         # Under light of root-mean-square radiance 1 over the texels, no row is further off than this.

@@ -74,6 +74,8 @@ def prepared(
             "rays_per_second": build.rays / max(tracing, 1e-9),
             "bytes": build.nbytes,
         }
+        if build.account is not None:
+            summary["left_out"] = {"line": build.account.line, **dataclasses.asdict(build.account)}
         if build.seconds.get("bounce 1") is not None:
             traced, above = build.gather_rays
             summary["gather_rays"] = {"traced": traced, "above_horizons": above}

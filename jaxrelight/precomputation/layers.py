@@ -16,6 +16,7 @@ from jaxrelight.files import store
 from jaxrelight.geometry.occluders import Occluders
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.methods import Transport
+from jaxrelight.precomputation.account import Rows
 from jaxrelight.precomputation.groups import complete
 from jaxrelight.precomputation.layer_files import write_lights
 from jaxrelight.precomputation.load import is_filtered
@@ -45,6 +46,9 @@ class BuiltLayers:
         rays: traced in this run.
         notes: what the method cost that one might not expect, one line each.
         gather_rays: of this run, along which bounced light was gathered.
+        rows: of direct light.
+        added_receivers: vertices, and backs of vertices, that were added where light needs them.
+        even_receivers: how many there would be if added ones were as dense everywhere.
     """
 
     folder: pathlib.Path
@@ -53,6 +57,9 @@ class BuiltLayers:
     rays: int
     notes: tuple[str, ...]
     gather_rays: GatherRays = NO_RAYS
+    rows: tuple[Rows, ...] = ()
+    added_receivers: int = 0
+    even_receivers: int = 0
 
 
 def make_layers(
@@ -77,17 +84,17 @@ def make_layers(
         here = place(scene, method, folder, report)
     folder, receivers = here.folder, here.receivers
     of_rays = adaptive_visibility.DIALS if method.rays == "adaptive" else ()
-    visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP, *of_rays)
+    visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP, "counted", *of_rays)
     texels = method.resolution * method.samples_per_side
     with timed(seconds, "visibility"):
         visibility = store.make_layer(
             folder / f"visibility-{visibility_key}",
-            {"bits": ((GROUP, 6 * texels**2 // 8), np.dtype(np.uint8))},
+            {"bits": ((GROUP, 6 * texels**2 // 8), np.dtype(np.uint8)), "rays": ((1,), np.dtype(np.int64))},
             len(receivers.filled),
         )
         rays = _trace_groups(visibility, receivers, here.geometry, texels, method.rays, report)
 
-    materials, notes = [], []
+    materials, notes, every = [], [], []
     if gather:
         gather = gather.with_visibility(visibility)
     stage = f"bounce {method.bounces}" if gather else "transport"
@@ -108,6 +115,9 @@ def make_layers(
                 rows = MaterialRows(folder, receivers, material.groups, material.in_rows)
                 gather_report = functools.partial(report, f"{stage} on {material.name}")
                 rows.gathered("bounced", shared(method), gather, gather_report)
+            for reflection, record in direct:
+                layer = store.open_layer(folder / record["transport"]) if "transport" in record else None
+                every.append(Rows(material.name, material.groups, reflection, layer))
             materials += [part.record for part in material.parts]
             notes += material.notes
 
@@ -123,7 +133,17 @@ def make_layers(
     lights = write_lights(folder, scene.lights.local)
     header = here.header(materials, lights, visibility=visibility.folder.name, filtered=filtered)
     gather_rays = gather.rays if gather else NO_RAYS
-    return BuiltLayers(folder, header, here.geometry, rays, tuple(notes), gather_rays)
+    return BuiltLayers(
+        folder=folder,
+        header=header,
+        geometry=here.geometry,
+        rays=rays,
+        notes=tuple(notes),
+        gather_rays=gather_rays,
+        rows=tuple(every),
+        added_receivers=here.added_receivers,
+        even_receivers=here.even_receivers,
+    )
 
 
 def check_terms_of(scene: Scene, name: str, method: Transport) -> None:
@@ -149,7 +169,7 @@ def _trace_groups(
             bits, count = trace_visibility(tracer, *rays, directions)
         else:
             bits, count = trace_adaptively(tracer, occluders, *rays, texels)
-        layer.write(group, bits=bits)
+        layer.write(group, bits=bits, rays=np.array([count]))
         counts.append(count)
 
     complete([layer], receivers.filled, trace, functools.partial(report, "visibility"))

@@ -91,6 +91,8 @@ class PlacedScene:
         layer: of that geometry.
         key: of all that rays depend on.
         refinement: the name of the layer that tells which edges were halved; None where none may be.
+        added_receivers: vertices, and backs of vertices, that were added where light needs them.
+        even_receivers: how many there would be if added ones were as dense everywhere.
     """
 
     scene: Scene
@@ -102,6 +104,8 @@ class PlacedScene:
     layer: store.Layer
     key: str
     refinement: str | None
+    added_receivers: int
+    even_receivers: int
 
     @property
     def receivers(self) -> Receivers:
@@ -232,10 +236,11 @@ def place(
     names = sorted(set(scene.material_of_mesh), key=lambda name: (name == SENSOR_MATERIAL, name))
     material_of_mesh = np.array([names.index(name) for name in scene.material_of_mesh])
     key, whole_key = geometry_keys(scene, surfaces)
-    folder, refinement = pathlib.Path(folder or store.default_folder(key)), None
+    folder, finer = pathlib.Path(folder or store.default_folder(key)), None
     if isinstance(method, Transport) and method.receivers == "vertices" and method.receiver_tolerance:
         make_folder(folder)
-        scene, refinement = refined(scene, method.receiver_tolerance, folder, key, report)
+        finer = refined(scene, method.receiver_tolerance, folder, key, report)
+        scene = finer.scene
         surfaces = scene.surfaces()
         key, whole_key = geometry_keys(scene, surfaces)
     tracer = Tracer(surfaces)
@@ -246,7 +251,8 @@ def place(
     make_folder(folder)
     layer = write_geometry(folder / f"geometry-{whole_key}", surfaces)
     geometry = SceneGeometry(surfaces, tracer, tuple(bumps), (), receivers, seen)
-    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key, refinement)
+    more = (None, 0, receivers.count) if finer is None else finer[1:]
+    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key, *more)
 
 
 def geometry_keys(scene: Scene, surfaces: Surfaces) -> tuple[str, str]:

@@ -1,6 +1,7 @@
 """From a scene to a store: layers of direct light, then as many passes of bounced light as are asked for."""
 
 import collections
+import contextlib
 import dataclasses
 import pathlib
 from collections.abc import Sequence
@@ -10,11 +11,13 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.methods import Indirect, Transport
+from jaxrelight.precomputation.account import Account, account_of
 from jaxrelight.precomputation.cloud_layers import make_indirect
 from jaxrelight.precomputation.layers import BuiltLayers, check_terms_of, make_layers
 from jaxrelight.precomputation.load import load
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
+from jaxrelight.timing import timed
 from jaxrelight.transport.bounce import Gather, remaining
 from jaxrelight.transport.hits import NO_RAYS, GatherRays
 from jaxrelight.transport.model import PrecomputedTransport, SceneGeometry
@@ -34,6 +37,7 @@ class StoreBuild:
         geometry: of the scene, for `load`.
         notes: what the dials cost that one might not expect, one line each.
         gather_rays: those of all bounces of this run.
+        account: what was left out, what that saved and what it costs; None for light of a cloud.
     """
 
     folder: pathlib.Path
@@ -45,6 +49,7 @@ class StoreBuild:
     geometry: SceneGeometry
     notes: tuple[str, ...] = ()
     gather_rays: GatherRays = NO_RAYS
+    account: Account | None = None
 
 
 def precompute(
@@ -94,7 +99,27 @@ def precompute(
         notes.append(
             f"{bounces} of {method.bounces} bounces were made: the others would add {left:.1%} of light at most"
         )
-    return _finished(built, seconds, passes, notes)
+    with timed(seconds, "account"):
+        account = _account(built, method)
+    return _finished(built, seconds, passes, notes, account)
+
+
+def _account(built: BuiltLayers, method: Transport) -> Account:
+    """What was left out: as the store tells it of the same layers, or measured."""
+    with contextlib.suppress(InputError, KeyError, TypeError):
+        known = store.read_header(built.folder, _header_name(built.header))["account"]
+        if known["of"] == _account_key(built):
+            return Account(**known["numbers"])
+    geometry, visibility = built.geometry, store.open_layer(built.folder / built.header["visibility"])
+    assert geometry.receivers is not None
+    receivers, more = geometry.receivers, (built.added_receivers, built.even_receivers)
+    return account_of(method, geometry.tracer, receivers, visibility, built.rows, *more)
+
+
+def _account_key(built: BuiltLayers) -> str:
+    """Of the layers that it tells of."""
+    rows = [one.layer.folder.name for one in built.rows if one.layer is not None]
+    return store.key_of(built.header["visibility"], rows)
 
 
 def check_scene(scene: Scene, method: Transport | Indirect) -> None:
@@ -114,11 +139,17 @@ def check_scene(scene: Scene, method: Transport | Indirect) -> None:
 
 
 def _finished(
-    built: BuiltLayers, seconds: dict[str, float], passes: Sequence[BuiltLayers], notes: Sequence[str] = ()
+    built: BuiltLayers,
+    seconds: dict[str, float],
+    passes: Sequence[BuiltLayers],
+    notes: Sequence[str] = (),
+    account: Account | None = None,
 ) -> StoreBuild:
     """Writes the store's header."""
     header = {**built.header, "passes": [_layers(one) for one in passes]}
-    store.write_header(built.folder, header, store.SENSOR_HEADER if "sensors" in header else store.HEADER)
+    if account is not None:
+        header["account"] = {"of": _account_key(built), "numbers": dataclasses.asdict(account)}
+    store.write_header(built.folder, header, _header_name(header))
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):
         nbytes[name.split("-")[0]] += store.bytes_on_disk(built.folder / name)
@@ -135,7 +166,12 @@ def _finished(
         geometry=built.geometry,
         notes=(*built.notes, *notes),
         gather_rays=GatherRays.total([built.gather_rays, *(one.gather_rays for one in passes)]),
+        account=account,
     )
+
+
+def _header_name(header: dict) -> str:
+    return store.SENSOR_HEADER if "sensors" in header else store.HEADER
 
 
 def _transport_of(folder: pathlib.Path, header: dict, geometry: SceneGeometry) -> PrecomputedTransport:

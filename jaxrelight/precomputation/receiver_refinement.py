@@ -23,6 +23,9 @@ from jaxrelight.geometry.receivers import GROUP, Receivers, vertex_receivers
 from jaxrelight.geometry.subdivision import Edges, edges_of, halved
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.geometry.triangles import area_vectors
+from jaxrelight.lights.sky_panel import POWER, SKIES, sky_panel
+from jaxrelight.numerics.unique_rows import unique_rows
 from jaxrelight.precomputation.groups import Threads
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
@@ -30,25 +33,37 @@ from jaxrelight.transport.adaptive_visibility import trace_adaptively
 
 # Side of the cube map through which light reaches vertices here.
 _RESOLUTION = 16
-# In scene space, which is 2 wide: edges that are longer are halved wherever anything is hidden from them, and shorter
-# ones are left as they are.
-_LONGEST, _SHORTEST = 1 / 4, 1 / 64
-# Of the skies of the panel, all but one are brighter around an axis, as a power of the cosine.
-_POWER = 4
+# Lengths of edges, see `_lengths`: where longer ones see anything but open sky, they are halved; those of which the
+# tolerance is, see `_needed`; and those that are short enough where meshes have them.
+_LONGEST, _LENGTH, _FINE = 1 / 4, 1 / 32, 1 / 64
+# The least light, over that of open sky, that the tolerance is relative to.
+_DARK = 0.2
 # Two of them halve a face in both directions: these are many more than lead from the scene's size to the shortest edge.
 _MOST_ROUNDS = 32
 # Middles of edges in the same place, as those of two parts at their border, differ by less.
 _SAME_PLACE = 1e-6
 # Of layers: what a mesh is halved by, apart from the scene and the tolerance.
-DIALS = _RESOLUTION, _LONGEST, _SHORTEST, _POWER
+DIALS = _RESOLUTION, _LONGEST, _LENGTH, _FINE, _DARK, POWER
 
 
-def refined(
-    scene: Scene, tolerance: float, folder: pathlib.Path, key: str, report: Report | None = None
-) -> tuple[Scene, str]:
-    """The scene with more vertices in its meshes, and the name of the store's layer that tells which edges were halved.
+class Refined(NamedTuple):
+    """A scene with more vertices.
 
-    What that layer tells is not traced again.
+    Attributes:
+        scene: it.
+        layer: the name of the store's layer that tells which edges were halved.
+        added: vertices, and backs of vertices.
+        even: how many vertices and backs there would be if those of meshes with added ones were as dense everywhere.
+    """
+
+    scene: Scene
+    layer: str
+    added: int
+    even: int
+
+
+def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, report: Report | None = None) -> Refined:
+    """The scene with more vertices in its meshes. What the store tells of halved edges is not traced again.
 
     Args:
         scene: any.
@@ -75,7 +90,24 @@ def refined(
             mask = np.zeros(len(edges.ends), bool)
             mask[chosen] = True
             meshes[number % parts] = halved(mesh, edges, mask)
-    return _with_meshes(scene, meshes), name
+    finer = _with_meshes(scene, meshes)
+    before, after = (_counts([part.mesh for part in one.parts]) for one in (scene, finer))
+    added = np.flatnonzero(after > before)
+    even = after.astype(float)
+    even[added] *= [_density(meshes[number]) for number in added]
+    return Refined(finer, name, int((after - before).sum()), int(even.sum()))
+
+
+def _counts(meshes: Sequence[Mesh]) -> Int[np.ndarray, " p"]:
+    """Of vertices and their backs."""
+    return np.array([len(mesh.vertices) * (2 if mesh.two_sided else 1) for mesh in meshes])
+
+
+def _density(mesh: Mesh) -> float:
+    """How much denser a mesh's vertices are where its faces are small, which one in twenty is, than in the mean."""
+    areas = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1)
+    areas = areas[areas > 0]
+    return float(areas.mean() / np.quantile(areas, 0.05)) if len(areas) else 1.0
 
 
 def _with_meshes(scene: Scene, meshes: Sequence[Mesh]) -> Scene:
@@ -90,11 +122,22 @@ class _Light(NamedTuple):
         values: irradiance under every sky, over that of open sky in the mean.
         is_open: whether nothing is hidden from them.
         enclosed: whether they lie inside closed surfaces.
+        known: whether they have been lit.
     """
 
     values: Float[np.ndarray, "_ s"]
     is_open: Bool[np.ndarray, " _"]
     enclosed: Bool[np.ndarray, " _"]
+    known: Bool[np.ndarray, " _"]
+
+    def some(self, vertices: Int[np.ndarray, " n"]) -> "_Light":
+        """Those of some vertices."""
+        return _Light(*(of[vertices] for of in self))
+
+    def fill(self, vertices: Int[np.ndarray, " n"], light: "_Light") -> None:
+        """Puts in those of some vertices."""
+        for values, own in zip(self, light, strict=True):
+            values[vertices] = own
 
     def beside(self, other: "_Light") -> "_Light":
         """Those of more vertices."""
@@ -105,63 +148,67 @@ class _Light(NamedTuple):
         is_open, enclosed = np.all(self.is_open[ends], axis=1), np.all(self.enclosed[ends], axis=1)
         taking_part = ~self.enclosed[ends] | enclosed[:, None]
         weights = taking_part / taking_part.sum(axis=1, keepdims=True)
-        return _Light(np.einsum("eb,ebs->es", weights, self.values[ends]), is_open, enclosed)
+        values = np.einsum("eb,ebs->es", weights, self.values[ends])
+        return _Light(values, is_open, enclosed, np.all(self.known[ends], axis=1))
 
 
 def _rounds(scene: Scene, tolerance: float, report: Report | None) -> list[list[Bool[np.ndarray, " _"]]]:
     """Which edges of each part are halved, one time after the other."""
     surfaces = scene.surfaces()
     meshes = [part.mesh for part in scene.parts]
-    edges = [edges_of(mesh) for mesh in meshes]
-    lengths = _lengths(meshes, edges, surfaces.radius)
-    if not any((length > _SHORTEST).any() for length in lengths):
-        return []
-    lit = _LitVertices(surfaces, report)
-    # No edge that comes to be is longer than those of its face, so that its ends are among these, or new.
-    ends = [np.unique(of.ends[length > _SHORTEST]) for of, length in zip(edges, lengths, strict=True)]
-    light = lit.at(scene, meshes, ends)
-    light = [_spread(one, own, len(mesh.vertices)) for one, own, mesh in zip(light, ends, meshes, strict=True)]
-    settled = [np.zeros(0, np.int64) for _ in meshes]
+    counts = [len(mesh.vertices) for mesh in meshes]
+    light, settled = [_unknown(count) for count in counts], [np.zeros(0, np.int64) for _ in meshes]
+    lit: _LitVertices | None = None
     rounds: list[list[Bool[np.ndarray, " _"]]] = []
     for _ in range(_MOST_ROUNDS):
-        long = [length > _SHORTEST for length in lengths]
-        asked = [one & ~np.isin(_names(of), known) for one, of, known in zip(long, edges, settled, strict=True)]
+        edges = [edges_of(mesh) for mesh in meshes]
+        lengths = _lengths(meshes, edges, surfaces.radius)
+        asked = []
+        for length, of, known, count in zip(lengths, edges, settled, counts, strict=True):
+            coarse = (length > _FINE) | (of.ends >= count).any(axis=1)
+            asked.append(coarse & (length > _shortest(tolerance)) & ~np.isin(_names(of), known))
         if not any(one.any() for one in asked):
             break
+        lit = lit or _LitVertices(surfaces, report)
+        ends = [np.unique(of.ends[ask]) for of, ask in zip(edges, asked, strict=True)]
+        ends = [own[~one.known[own]] for own, one in zip(ends, light, strict=True)]
+        for one, own, new in zip(light, ends, lit.at(scene, meshes, ends), strict=True):
+            one.fill(own, new)
         tried = [halved(*given) for given in zip(meshes, edges, asked, strict=True)]
         new = [np.arange(len(mesh.vertices), len(more.vertices)) for mesh, more in zip(meshes, tried, strict=True)]
         middles = lit.at(scene, tried, new)
         chosen = [_needed(*given, tolerance) for given in zip(edges, asked, lengths, light, middles, strict=True)]
-        chosen = _completed(meshes, edges, lengths, long, chosen, surfaces.radius)
+        chosen = _completed(meshes, edges, lengths, chosen, surfaces.radius)
         if not any(one.any() for one in chosen):
             break
-        more_light = []
         for number, (of, ask, take) in enumerate(zip(edges, asked, chosen, strict=True)):
             settled[number] = np.union1d(settled[number], _names(of)[ask & ~take])
-            # An edge that another part's edge asks for has no light of its own yet: what lies between its ends.
-            added, place, own = light[number].between(of.ends[take]), np.cumsum(ask) - 1, ask[take]
-            for values, measured in zip(added, middles[number], strict=True):
-                values[own] = measured[place[take & ask]]
-            more_light.append(light[number].beside(added))
+            added = _unknown(int(take.sum()))
+            added.fill(np.flatnonzero(ask[take]), middles[number].some((np.cumsum(ask) - 1)[take & ask]))
+            light[number] = light[number].beside(added)
         meshes = [halved(*given) for given in zip(meshes, edges, chosen, strict=True)]
-        light, rounds = more_light, [*rounds, chosen]
-        edges = [edges_of(mesh) for mesh in meshes]
-        lengths = _lengths(meshes, edges, surfaces.radius)
+        rounds = [*rounds, chosen]
     return rounds
 
 
+def _shortest(tolerance: float) -> float:
+    """Edges up to this length are not halved: light that is between those of both ends cannot be off enough there."""
+    return 2 * tolerance * _LENGTH
+
+
 def _lengths(meshes, edges, radius: float) -> list[Float[np.ndarray, " _"]]:
-    """Of edges, in scene space."""
-    ends = [mesh.vertices[of.ends] for mesh, of in zip(meshes, edges, strict=True)]
-    return [np.linalg.norm(one[:, 1] - one[:, 0], axis=-1) / radius for one in ends]
+    """Of edges, relative to the geometric mean of the scene's radius and their part's."""
+    lengths = []
+    for mesh, of in zip(meshes, edges, strict=True):
+        ends, size = mesh.vertices[of.ends], np.ptp(mesh.vertices, axis=0).max() / 2
+        lengths.append(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1) / np.sqrt(radius * size))
+    return lengths
 
 
-def _spread(light: _Light, vertices: Int[np.ndarray, " n"], count: int) -> _Light:
-    """Light of some of a mesh's vertices among all of them."""
-    every = _Light(*(np.zeros((count, *of.shape[1:]), of.dtype) for of in light))
-    for values, own in zip(every, light, strict=True):
-        values[vertices] = own
-    return every
+def _unknown(count: int) -> "_Light":
+    """Of vertices that have not been lit."""
+    nothing = np.zeros(count, bool)
+    return _Light(np.zeros((count, 2 * SKIES)), nothing, nothing.copy(), nothing.copy())
 
 
 def _names(edges: Edges) -> Int[np.ndarray, " e"]:
@@ -170,8 +217,14 @@ def _names(edges: Edges) -> Int[np.ndarray, " e"]:
 
 
 def _needed(edges: Edges, asked, lengths, light: _Light, middles: _Light, tolerance: float) -> Bool[np.ndarray, " e"]:
+    """Edges in whose middle light is off by more than the tolerance allows for their length.
+
+    That is less for longer ones, around which more of a picture is off: the squared error of a picture is least, for a
+    number of vertices, where errors times lengths are alike.
+    """
     shown = light.between(edges.ends[asked])
-    off = np.abs(middles.values - shown.values).max(axis=1, initial=0)
+    most = np.maximum(np.maximum(middles.values, shown.values), _DARK)
+    off = (np.abs(middles.values - shown.values) / most).max(axis=1, initial=0) * (lengths[asked] / _LENGTH)
     partly_hidden = ~(middles.is_open & shown.is_open)
     needed = np.zeros(len(asked), bool)
     needed[asked] = ~middles.enclosed & (off > tolerance) | partly_hidden & (lengths[asked] > _LONGEST)
@@ -180,7 +233,7 @@ def _needed(edges: Edges, asked, lengths, light: _Light, middles: _Light, tolera
     return needed
 
 
-def _completed(meshes, edges, lengths, long, chosen, radius: float) -> list[Bool[np.ndarray, " _"]]:
+def _completed(meshes, edges, lengths, chosen, radius: float) -> list[Bool[np.ndarray, " _"]]:
     """The same with what else has to be halved.
 
     That is the longest side of every face of which another one is, or faces would become needles whose sides never get
@@ -188,7 +241,7 @@ def _completed(meshes, edges, lengths, long, chosen, radius: float) -> list[Bool
     """
     while True:
         count = sum(one.sum() for one in chosen)
-        chosen = [one.copy() for one in _shared(meshes, edges, long, chosen, radius)]
+        chosen = [one.copy() for one in _shared(meshes, edges, chosen, radius)]
         for one, of, length in zip(chosen, edges, lengths, strict=True):
             touched = of.of_sides[one[of.of_sides].any(axis=1)]
             one[np.take_along_axis(touched, length[touched].argmax(axis=1)[:, None], axis=1)] = True
@@ -196,21 +249,14 @@ def _completed(meshes, edges, lengths, long, chosen, radius: float) -> list[Bool
             return chosen
 
 
-def _shared(meshes, edges, long, chosen, radius: float) -> list[Bool[np.ndarray, " _"]]:
+def _shared(meshes, edges, chosen, radius: float) -> list[Bool[np.ndarray, " _"]]:
     """The same with edges in the same place as one that is halved, so that no vertex lies inside another's edge."""
-    middles = [mesh.vertices[of.ends[one]].mean(axis=1) for mesh, of, one in zip(meshes, edges, long, strict=True)]
+    middles = [mesh.vertices[of.ends].mean(axis=1) for mesh, of in zip(meshes, edges, strict=True)]
     place = np.rint(np.concatenate(middles) / (radius * _SAME_PLACE)).astype(np.int64)
-    _, same = np.unique(place, axis=0, return_inverse=True)
-    same = same.ravel()
+    _, same = unique_rows(place)
     wanted = np.zeros(same.max(initial=-1) + 1, bool)
-    wanted[same[np.concatenate([take[one] for take, one in zip(chosen, long, strict=True)])]] = True
-    ends = np.cumsum([one.sum() for one in long])
-    shared = []
-    for one, own in zip(long, np.split(wanted[same], ends[:-1]), strict=True):
-        mask = np.zeros(len(one), bool)
-        mask[one] = own
-        shared.append(mask)
-    return shared
+    wanted[same[np.concatenate(chosen)]] = True
+    return np.split(wanted[same], np.cumsum([len(one) for one in chosen])[:-1])
 
 
 class _LitVertices:
@@ -220,11 +266,7 @@ class _LitVertices:
         self._surfaces, self._tracer, self._occluders = surfaces, Tracer(surfaces), Occluders(surfaces)
         self._report, self._times = report, 0
         self._directions = cubemap.directions(_RESOLUTION)
-        axes = np.concatenate([np.eye(3), -np.eye(3)])
-        lobes = np.maximum(self._directions @ axes.T, 0) ** _POWER
-        # Their mean over the sphere is 1, so that half of open sky has the irradiance π in the mean.
-        skies = np.column_stack([np.ones(len(lobes)), 2 * (_POWER + 1) * lobes])
-        self._skies = skies * cubemap.solid_angles(_RESOLUTION)[:, None] / np.pi
+        self._skies = sky_panel(_RESOLUTION)
 
     def at(self, scene: Scene, meshes: Sequence[Mesh], vertices: Sequence[Int[np.ndarray, " _"]]) -> list[_Light]:
         """What reaches some vertices of every mesh of the scene's."""
@@ -242,7 +284,8 @@ class _LitVertices:
             is_open[has_back] &= backs.is_open
             enclosed[has_back] &= backs.enclosed
         cuts = np.cumsum([len(own) for own in vertices])[:-1]
-        return [_Light(*one) for one in zip(*(np.split(of, cuts) for of in (values, is_open, enclosed)), strict=True)]
+        every = values, is_open, enclosed, np.ones_like(enclosed)
+        return [_Light(*one) for one in zip(*(np.split(of, cuts) for of in every), strict=True)]
 
     def _traced(self, receivers: Receivers, slots: Int[np.ndarray, " v"]) -> _Light:
         every = receivers.origins, receivers.normals, receivers.face_normals
@@ -263,4 +306,5 @@ class _LitVertices:
         for done, _ in enumerate(Threads().run(trace, range(len(blocks)))):
             if self._report:
                 self._report(f"vertices, pass {self._times}", min(GROUP * (done + 1), len(slots)), len(slots))
-        return _Light(values, is_open, enclosed_vertices(self._surfaces, self._tracer, origins, face_normals))
+        enclosed = enclosed_vertices(self._surfaces, self._tracer, origins, face_normals)
+        return _Light(values, is_open, enclosed, np.ones_like(enclosed))

@@ -3,9 +3,10 @@
 import dataclasses
 
 from jaxrelight.methods import METHODS
+from jaxrelight.precomputation.account import Account
 
 DIALS_OF = {name: {field.name for field in dataclasses.fields(kind)} for name, kind in METHODS.items()}
-_NAMED = "materials", "meshes", "filtered_lobes", "parts", "sensors", "report"
+_NAMED = "terms", "channels", "materials", "meshes", "filtered_lobes", "parts", "sensors", "report"
 
 
 def _of_group(name: str, *keys: str) -> set[str]:
@@ -20,6 +21,9 @@ def _lit(lighting: str) -> set[str]:
 STORE = {"store", "receivers", "operator_bytes", "kept_energy"}
 BUILD = STORE | {"rays", "rays_per_second"} | _of_group("seconds", "imports", "load", "geometry", "open", "total")
 TRANSPORT = BUILD | _of_group("seconds", "visibility", "transport")
+LEFT_OUT = _of_group("left_out", *(field.name for field in dataclasses.fields(Account)), "line")
+LEFT_OUT = {f"{key}.*" if key in ("left_out.terms", "left_out.channels") else key for key in LEFT_OUT}
+TRANSPORT |= LEFT_OUT | {"seconds.account"}
 TRANSPORT |= _of_group("bytes", "geometry", "environment", "visibility", "factors", "transport")
 INDIRECT = BUILD | _of_group("seconds", "cloud", "between", "pixels")
 INDIRECT |= _of_group("bytes", "geometry", "cloud", "albedo", "between", "indirect", "factors", "lights")
@@ -57,6 +61,7 @@ KEYS = {
     "demo": _lit("transport") | TRANSPORT - {"seconds.load"} | SHOWN,
     "store": _lit("transport")
     | STORE
+    | LEFT_OUT
     | {"kind", "scene", "rows", "materials.*", "filtered_lobes.*", "bytes.*", "unused_layers"}
     | {"lights", "leaves_out", "largest_error_for_unit_light"},
     "scene": {"command", "kind", "scene", "vertices", "materials.*", "lights", "file_bounds"}
