@@ -10,6 +10,7 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.methods import Indirect, Transport
+from jaxrelight.precomputation.chosen_resolution import with_resolution
 from jaxrelight.precomputation.cloud_layers import make_indirect
 from jaxrelight.precomputation.layers import BuiltLayers, check_terms_of, make_layers
 from jaxrelight.precomputation.load import load
@@ -73,6 +74,7 @@ def precompute(
         return _finished(make_indirect(scene, method, folder, report, seconds := {}), seconds, [])
     albedo = _largest_albedo(scene) if method.bounces else 0.0
     seconds: dict[str, float] = {}
+    method, chosen, rays = with_resolution(scene, method, folder, report, seconds)
     passes, left = [], 1.0
     gather, transport = None, None
     # Bounces are of rows, which filtered lobes have none of.
@@ -86,10 +88,14 @@ def precompute(
         gather = Gather(transport, key, method.gather_resolution, method.gather == "nearest")
     bounces = len(passes)
     built = make_layers(scene, dataclasses.replace(method, bounces=bounces), folder, report, seconds, gather)
-    notes = []
+    notes = [str(chosen)] if chosen else []
     if bounces < method.bounces:
         notes.append(
             f"{bounces} of {method.bounces} bounces were made: the others would add {left:.1%} of light at most"
+        )
+    if chosen:
+        built = dataclasses.replace(
+            built, header={**built.header, "chosen_resolution": chosen.to_record()}, rays=built.rays + rays
         )
     return _finished(built, seconds, passes, notes)
 
