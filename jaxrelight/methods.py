@@ -40,8 +40,8 @@ class Method:
 # How vertices reflect lobes; see `Transport.reflection`.
 REFLECTIONS = ("filtered", "factors", "traced")
 BETWEEN_SURFACES = "light that surfaces reflect onto each other"
-# Side of the faces of cube maps that "auto" compares others with, and the largest that it chooses.
-FINEST_BY_NEED = 256
+# What a resolution of "auto" is one of; the last is what the others are compared with.
+RESOLUTIONS_BY_NEED = 16, 32, 64, 128, 256
 
 if TYPE_CHECKING:
     # "auto" is a number before anything is precomputed, which checkers cannot know: all that reads it reads a number.
@@ -139,7 +139,7 @@ class Transport(Method):
             check_whole(name, getattr(self, name), low, high)
         n = self.resolution
         if n == "auto":
-            n = FINEST_BY_NEED
+            n = max(RESOLUTIONS_BY_NEED)
         elif type(n) is int and 4 <= n <= 512:
             require(n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
         else:

@@ -120,6 +120,7 @@ def make_picture(
         error = image.measure(command.error_samples)
     left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
     notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
+    notes(relighter.notes_on(lights))
     negative = image.negative_share
     if negative >= _TOLD_NEGATIVE:
         notes(
@@ -218,6 +219,10 @@ def _describe_plan(plan: Any, view: Any, maps: pathlib.Path | None) -> dict:
 def describe(relighter: Relighter) -> dict:
     """What lights, as a part of a summary."""
     transport = getattr(relighter, "transport", None)
-    sizes = {} if transport is None else {"operator_bytes": transport.nbytes, "kept_energy": transport.kept}
-    method = relighter.method
+    sizes: dict[str, Any] = (
+        {} if transport is None else {"operator_bytes": transport.nbytes, "kept_energy": transport.kept}
+    )
+    method, chosen = relighter.method, None if transport is None else transport.stored.chosen_resolution
+    if chosen is not None:
+        sizes["chosen_resolution"] = {"line": str(chosen), **chosen.to_record()}
     return {"lighting": method.name, **sizes, "settings": dataclasses.asdict(method), "versions": versions()}

@@ -48,6 +48,7 @@ ENTRIES: Entries = (
     ),
     Exempt(
         (
+            *named("jaxrelight.precomputation.chosen_resolution", "with_resolution"),
             *named("jaxrelight.precomputation.cloud_layers", "make_indirect"),
             *named("jaxrelight.precomputation.groups", "complete"),
             *named("jaxrelight.precomputation.receiver_refinement", "refined"),
@@ -58,7 +59,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.precomputation.load", "read_factor read_texture"),
             *named("jaxrelight.precomputation.material_rows", "Gathers.rows Gathers.channels_of"),
             *named("jaxrelight.precomputation.placing", "PlacedMaterial.in_rows PlacedScene.receivers"),
-            *named("jaxrelight.precomputation.placing", "PlacedScene.materials place geometry_keys"),
+            *named("jaxrelight.precomputation.placing", "PlacedScene.materials reflection_of place geometry_keys"),
             *named("jaxrelight.precomputation.precompute", "precompute check_scene"),
             *named("jaxrelight.precomputation.surface_albedo", "albedo_at_points"),
             *named("jaxrelight.precomputation.vertex_occlusion", "vertex_occlusion sensor_occlusion"),

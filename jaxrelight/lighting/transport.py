@@ -24,6 +24,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import samples_along
+from jaxrelight.lighting.chosen_resolution import resolution_errors, resolution_notes
 from jaxrelight.lighting.contract import VISIBILITY, Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
@@ -445,6 +446,20 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     def not_measured(self, lit: TransportLight) -> tuple[str, ...]:
         """What bounces bring."""
         return ("what bounces bring",) if self.method.bounces else ()
+
+    def notes_on(self, lights: LightsLike) -> tuple[str, ...]:
+        """A line where the resolution was chosen for an environment that is not as sharp as this one."""
+        return resolution_notes(self.transport, as_lights(lights).environment)
+
+    def resolution_errors(self, environment: Environment) -> dict[int, float]:
+        """The error of a resolution that was chosen by need under an environment, and of finer ones.
+
+        See `lighting.chosen_resolution.resolution_errors`.
+
+        Raises:
+            InputError: if a layer of the store is damaged.
+        """
+        return resolution_errors(self.transport, environment)
 
     def shade_lobes(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"] | None:
         """Direct light of an environment that filtered lobes reflect: filtered light times filtered visibility.

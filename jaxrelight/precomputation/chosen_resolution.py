@@ -18,7 +18,7 @@ from jaxrelight.brdf.record import to_record
 from jaxrelight.files import store
 from jaxrelight.geometry.occluders import Occluders
 from jaxrelight.geometry.receivers import GROUP
-from jaxrelight.methods import Transport
+from jaxrelight.methods import RESOLUTIONS_BY_NEED, Transport
 from jaxrelight.precomputation.groups import Threads
 from jaxrelight.precomputation.layer_files import plain, write_factor, write_table
 from jaxrelight.precomputation.placing import PlacedScene, place, reflection_of
@@ -28,9 +28,7 @@ from jaxrelight.timing import timed
 from jaxrelight.transport import adaptive_visibility
 from jaxrelight.transport.adaptive_visibility import trace_adaptively
 from jaxrelight.transport.resolution_error import (
-    FINEST,
     POINTS,
-    RESOLUTIONS,
     ChosenResolution,
     Points,
     Rows,
@@ -39,7 +37,6 @@ from jaxrelight.transport.resolution_error import (
     light_of,
     radiance,
     resolution_error,
-    sides_of,
 )
 
 # Points whose rays a thread casts together; what one of them sees does not depend on the number of threads.
@@ -77,19 +74,21 @@ def with_resolution(
     """
     if method.resolution != "auto":
         return Resolved(method)
+    *coarser, finest = RESOLUTIONS_BY_NEED
     with timed(seconds, "resolution"):
-        here = place(scene, dataclasses.replace(method, resolution=FINEST), folder, report)
+        here = place(scene, dataclasses.replace(method, resolution=finest), folder, report)
         points = draw_points(here.receivers, here.geometry.surfaces, scene.camera.origin)
         sample, rays = _sample(here, points, method, report)
         layer = _errors(here, points, method, sample)
         trimmed, untrimmed = (layer.read(name, 0).tolist() for name in ("trimmed", "untrimmed"))
-        errors = dict(zip(RESOLUTIONS, trimmed, strict=True))
+        errors = dict(zip(coarser, trimmed, strict=True))
         fits = [n for n, error in errors.items() if error <= method.compression_tolerance and _has_room(method, n)]
         chosen = ChosenResolution(
-            resolution=fits[0] if fits else FINEST,
+            resolution=fits[0] if fits else finest,
+            finest=finest,
             tolerance=method.compression_tolerance,
             errors=errors,
-            untrimmed=dict(zip(RESOLUTIONS, untrimmed, strict=True)),
+            untrimmed=dict(zip(coarser, untrimmed, strict=True)),
             points=len(points.slots),
             environment=key_of_light(scene.lights.environment),
             sample=sample.folder.name,
@@ -105,7 +104,8 @@ def _has_room(method: Transport, resolution: int) -> bool:
 
 def _sample(here: PlacedScene, points: Points, method: Transport, report: Report) -> tuple[store.Layer, int]:
     """The layer of what points see at each resolution, the finest last, and the rays cast in this run."""
-    sides = sides_of(method.samples_per_side)
+    *coarser, finest = RESOLUTIONS_BY_NEED
+    sides = *(side * method.samples_per_side for side in coarser), finest
     key = here.receivers_key(POINTS, points.slots, sides, _RAY_BATCH, *adaptive_visibility.DIALS)
     layout = {"bits": ((len(points.slots), -1), np.dtype(np.uint8))}
     layer = store.make_layer(here.folder / f"sample-{key}", layout, len(sides))
@@ -121,10 +121,11 @@ def _sample(here: PlacedScene, points: Points, method: Transport, report: Report
     def trace(batch: int) -> None:
         number, start = batches[batch]
         some = slice(start, start + _RAY_BATCH)
-        seen[number, start], count = trace_adaptively(tracer, occluders, origins[some], normals[some], sides[number], are_close=False)
+        seen[number, start], count = trace_adaptively(
+            tracer, occluders, origins[some], normals[some], sides[number], are_close=False
+        )
         counts.append(count)
 
-    tracer.occluded(np.float32(origins[:1]), np.float32(normals[:1]))
     for done, _ in enumerate(Threads().run(trace, range(len(batches)))):
         report("resolution", done + 1, len(batches))
     for number in layer.missing:
@@ -140,19 +141,20 @@ def _errors(here: PlacedScene, points: Points, method: Transport, sample: store.
     ways = [method.receivers, method.reflection, dict(scene.reflections), plain(dataclasses.astuple(scene.camera))]
     key = store.key_of(sample.folder.name, key_of_light(scene.lights.environment), here.names, records, *ways)
     path = here.folder / f"resolution-{key}"
-    numbers = (((len(RESOLUTIONS),), np.dtype(np.float64)) for _ in range(2))
+    *coarser, finest = RESOLUTIONS_BY_NEED
+    numbers = (((len(coarser),), np.dtype(np.float64)) for _ in range(2))
     layer = store.make_layer(path, dict(zip(("trimmed", "untrimmed"), numbers, strict=True)), 1)
     if layer.missing:
-        light = light_of(scene.lights.environment)
-        finest = sample.read("bits", len(RESOLUTIONS))
+        light = light_of(scene.lights.environment, finest)
+        seen = sample.read("bits", len(coarser))
         reference: dict[tuple[bool, ...], Float[np.ndarray, "p 3"]] = {}
         errors = []
-        for number, resolution in enumerate(RESOLUTIONS):
+        for number, resolution in enumerate(coarser):
             at_it = dataclasses.replace(method, resolution=resolution)
             filtered = tuple(_is_filtered(scene, at_it, name) for name in here.names)
             rows = _rows(here, points, materials, filtered, method)
             if filtered not in reference:
-                reference[filtered] = radiance(points, rows, finest, light, FINEST)
+                reference[filtered] = radiance(points, rows, seen, light, finest)
             bits = sample.read("bits", number)
             coarse = radiance(points, rows, bits, light, resolution, method.samples_per_side)
             errors.append(resolution_error(coarse, reference[filtered]))

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, UInt8
 
@@ -28,12 +27,9 @@ from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.images.metric import image_error
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.natural_spectrum import natural_spectrum
-from jaxrelight.methods import FINEST_BY_NEED
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.transport import bake
 
-# Sides of the faces that are compared, and of those that they are compared with.
-RESOLUTIONS, FINEST = (16, 32, 64, 128), FINEST_BY_NEED
 # How many points are drawn, and the seed of all that is drawn.
 POINTS, _SEED = 128, 0
 # Points whose irradiance is summed at a time, and those whose BRDFs are.
@@ -46,8 +42,9 @@ class ChosenResolution:
 
     Attributes:
         resolution: that was chosen.
+        finest: what coarser ones were compared with.
         tolerance: that it was chosen by.
-        errors: of each resolution, relative to `FINEST`, trimmed as those of pictures.
+        errors: of each coarser resolution, relative to the finest, trimmed as those of pictures.
         untrimmed: the same of all points.
         points: that were drawn.
         environment: a key of the light; None for natural light, of a scene that has no environment.
@@ -56,6 +53,7 @@ class ChosenResolution:
     """
 
     resolution: int
+    finest: int
     tolerance: float
     errors: Mapping[int, float]
     untrimmed: Mapping[int, float]
@@ -69,7 +67,7 @@ class ChosenResolution:
         coarser = [side for side in self.errors if side < self.resolution]
         so_much = f"resolution {self.resolution} was chosen{light}: "
         if self.resolution in self.errors:
-            so_much += f"{self.errors[self.resolution]:.1%} off of {FINEST} on {self.points} points"
+            so_much += f"{self.errors[self.resolution]:.1%} off of {self.finest} on {self.points} points"
             return so_much + (f"; {coarser[-1]} would be {self.errors[coarser[-1]]:.1%}" if coarser else "")
         return so_much + (
             f"{coarser[-1]} would be {self.errors[coarser[-1]]:.1%} off of it on {self.points} points, and the "
@@ -85,8 +83,10 @@ class ChosenResolution:
 _TABLES = "errors", "untrimmed"
 
 
-def from_record(record: dict) -> ChosenResolution:
-    """What `ChosenResolution.to_record` made."""
+def chosen_from(record: dict | None) -> ChosenResolution | None:
+    """What `ChosenResolution.to_record` made; None where a header says nothing."""
+    if not record:
+        return None
     named = {name: {int(side): error for side, error in record[name].items()} for name in _TABLES}
     return ChosenResolution(**{**record, **named})
 
@@ -123,7 +123,9 @@ class Rows(NamedTuple):
     weight: PixelWeight
 
 
-def draw_points(receivers: Receivers, surfaces: Surfaces, origin: Sequence[float], count: int = POINTS) -> Points:
+def draw_points(
+    receivers: Receivers, surfaces: Surfaces, origin: Sequence[float] | np.ndarray, count: int = POINTS
+) -> Points:
     """Some receivers: of pixels each is as likely as another, and vertices count by the area around them.
 
     One is drawn of each of as many runs of receivers, which are in the order of groups, as of close ones.
@@ -159,9 +161,7 @@ def draw_points(receivers: Receivers, surfaces: Surfaces, origin: Sequence[float
         assert receivers.omega_o is not None
         assert receivers.uv is not None
         assert receivers.footprint is not None
-        return Points(
-            slots, frames, to_local(frames, of(receivers.omega_o)), of(receivers.uv), of(receivers.footprint)
-        )
+        return Points(slots, frames, to_local(frames, of(receivers.omega_o)), of(receivers.uv), of(receivers.footprint))
     towards = surfaces.to_scene(origin) - of(receivers.positions)
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), np.finfo(float).tiny)
     height, turn = random.random(len(slots)), 2 * np.pi * random.random(len(slots))
@@ -178,15 +178,6 @@ def _areas(surfaces: Surfaces) -> Float[np.ndarray, " v"]:
     return np.bincount(surfaces.faces.ravel(), np.repeat(area, 3), len(surfaces.vertices))
 
 
-def sides_of(samples: int) -> tuple[int, ...]:
-    """Sides of the cube maps that points cast rays through: of every resolution with samples² a texel, and the finest.
-
-    Args:
-        samples: rays along a side of a texel; of the finest it is one.
-    """
-    return (*(side * samples for side in RESOLUTIONS), FINEST)
-
-
 def key_of_light(environment: Environment | None) -> str | None:
     """What tells environments apart whose relative errors differ."""
     if environment is None:
@@ -194,19 +185,19 @@ def key_of_light(environment: Environment | None) -> str | None:
     return store.key_of(np.asarray(environment.pixels), float(environment.rotate_y))
 
 
-def light_of(environment: Environment | None) -> Float[np.ndarray, "d 3"]:
-    """Mean radiance of the finest texels: of an environment, or three lights of the natural spectrum in its place."""
+def light_of(environment: Environment | None, resolution: int) -> Float[np.ndarray, "d 3"]:
+    """Mean radiance of texels: of an environment, or three lights of the natural spectrum in its place."""
     if environment is not None:
-        pixels = latlong.rotate(coarsened(environment.pixels, FINEST // 2), environment.rotate_y)
-        flat, sums = np.asarray(pixels, float).reshape(-1, 3), np.zeros((6 * FINEST**2, 3))
+        pixels = latlong.rotate(coarsened(environment.pixels, resolution // 2), environment.rotate_y)
+        flat, sums = np.asarray(pixels, float).reshape(-1, 3), np.zeros((6 * resolution**2, 3))
         # On the host: a program for this one product would take longer to compile.
-        for texel, pixel, shared in latlong.overlaps(*pixels.shape[:2], FINEST):
+        for texel, pixel, shared in latlong.overlaps(pixels.shape[0], pixels.shape[1], resolution):
             for channel in range(3):
                 sums[:, channel] += np.bincount(texel, shared * flat[pixel, channel], len(sums))
-        return (sums / cubemap.solid_angles(FINEST)[:, None]).astype(np.float32)
-    spectrum = natural_spectrum(FINEST)
-    drawn = np.random.default_rng(_SEED).standard_normal((3, len(spectrum)), np.float32) * spectrum
-    return np.asarray(HaarFaces(FINEST).decode(as_array(drawn))).T
+        return (sums / cubemap.solid_angles(resolution)[:, None]).astype(np.float32)
+    spectrum = natural_spectrum(resolution)
+    drawn = np.random.default_rng(_SEED).standard_normal((3, len(spectrum))).astype(np.float32) * spectrum
+    return np.asarray(HaarFaces(resolution).decode(as_array(drawn))).T
 
 
 def radiance(
@@ -242,9 +233,7 @@ def radiance(
     return total
 
 
-def resolution_error(
-    coarse: Float[np.ndarray, "p 3"], fine: Float[np.ndarray, "p 3"]
-) -> tuple[float, float]:
+def resolution_error(coarse: Float[np.ndarray, "p 3"], fine: Float[np.ndarray, "p 3"]) -> tuple[float, float]:
     """The relative error of some points, trimmed as that of pictures and not; 0 where they are black."""
     if not fine.any():
         return 0.0, 0.0
@@ -254,10 +243,10 @@ def resolution_error(
 
 def _coarser(light: Float[np.ndarray, "d 3"], resolution: int) -> Float[np.ndarray, "c 3"]:
     """Means of the finest texels within coarser ones."""
-    if resolution == FINEST:
+    finest = round((len(light) / 6) ** 0.5)
+    if resolution == finest:
         return light
-    k = FINEST // resolution
-    angles = cubemap.solid_angles(FINEST)[:, None]
+    k, angles = finest // resolution, cubemap.solid_angles(finest)[:, None]
     sums = [
         values.reshape(6, resolution, k, resolution, k, -1).sum(axis=(2, 4)).reshape(6 * resolution**2, -1)
         for values in (light * angles, angles)
@@ -282,7 +271,7 @@ def _value(brdf: Brdf | SpatialLobes) -> Float[np.ndarray, " c"]:
     assert isinstance(brdf, Brdf)
     if isinstance(brdf, LobeSum):
         return np.asarray(brdf.diffuse) / np.pi
-    up = np.array([0, 0, 1], np.float32)
+    up = as_array(np.array([0, 0, 1], np.float32))
     return np.asarray(brdf.evaluate(up, up))
 
 

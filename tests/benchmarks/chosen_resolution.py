@@ -30,18 +30,17 @@ def main():
             "on 128 points and measured of the picture, both trimmed. The time is that of the choice in a new store; "
             "it is less than 0.1 s more than that of the geometry where the store has it."
         )
-        report.table(["scene", "sky", "chosen", *(str(n) for n in _resolutions()), "time"], rows)
+        report.table(["scene", "sky", "chosen", *(str(n) for n in _resolutions()[:-1]), "time"], rows)
 
 
 def _resolutions() -> tuple[int, ...]:
-    from jaxrelight.transport.resolution_error import RESOLUTIONS
+    from jaxrelight.methods import RESOLUTIONS_BY_NEED
 
-    return RESOLUTIONS
+    return RESOLUTIONS_BY_NEED
 
 
 def _rows(name: str, side: int) -> list[list[str]]:
     import jaxrelight as jr
-    from jaxrelight.transport.resolution_error import FINEST
 
     path, exponent = SCENES[name]
     scene = jr.scene_of_mesh(shared("data", "mesh", *path))
@@ -55,7 +54,7 @@ def _rows(name: str, side: int) -> list[list[str]]:
     rows = []
     with tempfile.TemporaryDirectory() as temporary:
         folder = pathlib.Path(temporary)
-        for resolution in (*_resolutions(), FINEST):
+        for resolution in _resolutions():
             method = jr.Transport(resolution=resolution, coefficients="all")
             relighter = jr.prepare(scene, method, folder / "store")
             view = relighter.view()
@@ -66,7 +65,7 @@ def _rows(name: str, side: int) -> list[list[str]]:
             chosen, seconds = _chosen(dataclasses.replace(scene, lights=light), folder / f"new {sky}")
             row = [name, sky, str(chosen.resolution)]
             for resolution, expected in chosen.errors.items():
-                error = jr.image_error(pictures[resolution][sky], pictures[FINEST][sky])
+                error = jr.image_error(pictures[resolution][sky], pictures[chosen.finest][sky])
                 row.append(f"{percent(expected)}, {percent(error.trimmed)}")
             rows.append([*row, f"{seconds:.1f} s"])
             print(rows[-1], flush=True)
