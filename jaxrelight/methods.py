@@ -41,7 +41,7 @@ class Method:
 REFLECTIONS = ("filtered", "factors", "traced")
 BETWEEN_SURFACES = "light that surfaces reflect onto each other"
 # What a resolution of "auto" is one of; the last is what the others are compared with.
-RESOLUTIONS_BY_NEED = 16, 32, 64, 128, 256
+RESOLUTIONS_BY_NEED: tuple[int, ...] = 16, 32, 64, 128, 256
 
 if TYPE_CHECKING:
     # "auto" is a number before anything is precomputed, which checkers cannot know: all that reads it reads a number.

@@ -45,6 +45,13 @@ def check_output(output: pathlib.Path, layers: bool, error_samples: int = 0, ton
         raise InputError(f"{output}: holds radiance, to which no tone curve applies; name a .png, or leave --tone out")
 
 
+def scene_to_prepare(scene: Scene, method: Method, lights: Lights) -> Scene:
+    """The scene, with the environment that will light it as its own where a resolution is to be chosen for that."""
+    if not (isinstance(method, Transport) and method.resolution == "auto" and lights.environment is not None):
+        return scene
+    return dataclasses.replace(scene, lights=Lights(lights.environment, scene.lights.local))
+
+
 def prepared(
     scene: Scene, method: Method, store: pathlib.Path | None, report: Report, summary: dict, seconds: dict[str, float]
 ) -> Relighter:

@@ -60,8 +60,7 @@ class Render:
         """Runs the command."""
         with summary_of("render", self.json) as (summary, seconds):
             with timed(seconds, "imports"):
-                from jaxrelight.commands.pictures import check_output, make_picture, prepared
-                from jaxrelight.lights.lights import Lights
+                from jaxrelight.commands.pictures import check_output, make_picture, prepared, scene_to_prepare
                 from jaxrelight.progress import notes, progress
                 from jaxrelight.scene.mesh_scene import open_scene
 
@@ -82,10 +81,8 @@ class Render:
                         "--receivers vertices, one store shows all of them at no cost"
                     ]
                 )
-            if isinstance(method, Transport) and method.resolution == "auto" and lights.environment is not None:
-                # A resolution is chosen for the light that is asked for, which the store has as its own then.
-                scene = dataclasses.replace(scene, lights=Lights(lights.environment, scene.lights.local))
             with progress(self.json) as report:
+                scene = scene_to_prepare(scene, method, lights)
                 relighter = prepared(scene, method, self.store, report, summary, seconds)
                 summary |= make_picture(self, relighter, lights, scene.camera, seconds, report)
 

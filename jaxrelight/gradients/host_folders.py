@@ -71,7 +71,8 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.commands.measure", "table_of"),
             *named("jaxrelight.commands.options", "LightOptions.lights ViewOptions.camera"),
-            *named("jaxrelight.commands.pictures", "prepared shaded make_picture told_clipped describe"),
+            *named("jaxrelight.commands.pictures", "scene_to_prepare prepared shaded make_picture"),
+            *named("jaxrelight.commands.pictures", "told_clipped describe"),
             *named("jaxrelight.commands.inverse_lamps", "told tables_of write_report"),
             *named("jaxrelight.commands.inverse_light", "told lines_of"),
             *named("jaxrelight.commands.inverse_materials", "told lines_of write_materials write_report"),

@@ -24,7 +24,6 @@ from jaxrelight.errors import InputError
 from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.lighting.antialiasing import samples_along
-from jaxrelight.lighting.chosen_resolution import resolution_errors, resolution_notes
 from jaxrelight.lighting.contract import VISIBILITY, Image, Relighter, Report, behind, image_of, kept_beside
 from jaxrelight.lighting.direct_light import shade_lights
 from jaxrelight.lighting.exact_pixels import NamedComponent
@@ -35,6 +34,7 @@ from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.reference import ExactTransport, Reference, Sample
+from jaxrelight.lighting.resolution_check import resolution_errors, resolution_notes
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.transport_means import (
@@ -454,7 +454,7 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     def resolution_errors(self, environment: Environment) -> dict[int, float]:
         """The error of a resolution that was chosen by need under an environment, and of finer ones.
 
-        See `lighting.chosen_resolution.resolution_errors`.
+        See `lighting.resolution_check.resolution_errors`.
 
         Raises:
             InputError: if a layer of the store is damaged.

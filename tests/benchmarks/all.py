@@ -12,6 +12,7 @@ PROGRAMS = (
     "precompute",
     "adaptive_rays",
     "coarse_meshes",
+    "chosen_resolution",
     "kernels",
     "reference_images",
     "terms_curve",

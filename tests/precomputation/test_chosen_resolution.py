@@ -210,6 +210,7 @@ def test_stores_tell_the_number_and_how_it_was_chosen(folder):
     scene = _scene(_sky("gradient"))
     build = precompute(scene, AUTO, folder)
     chosen = chosen_from(build.header["chosen_resolution"])
+    assert chosen is not None
     assert chosen == _chosen(scene, AUTO, folder)
     assert build.header["method"]["dials"]["resolution"] == chosen.resolution == 8
     assert build.rays < 10_000, "rays of the visibility alone: the sample was there"
