@@ -31,7 +31,7 @@ from jaxrelight.numerics.arrays import as_array
 from jaxrelight.transport import bake
 
 # How many points are drawn, and the seed of all that is drawn.
-POINTS, _SEED = 128, 0
+POINTS, _SEED = 256, 0
 # Points whose irradiance is summed at a time, and those whose BRDFs are.
 _IRRADIANCE_BATCH, _BRDF_BATCH = 8, 16
 
