@@ -59,6 +59,8 @@ def precompute(
     With bounces, every pass gathers from the rows of direct light and of the bounces before (Wang 2006 §3.2), which are
     of vertices, whatever the receivers of the last pass are. What it gathers is kept in clusters, beside direct light.
 
+    A resolution of "auto" becomes a number first, see `chosen_resolution`; the header has both.
+
     Args:
         scene: what to precompute; its environment is stored as the default light.
         method: the dials.
