@@ -130,7 +130,7 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.transport.bake", "directions_for unpack"),
             *named("jaxrelight.gather.cloud_spectrum", "cloud_spectrum"),
-            *named("jaxrelight.transport.resolution_error", "draw_points key_of_light light_of radiance"),
+            *named("jaxrelight.transport.resolution_error", "draw_slots points_of key_of_light light_of radiance"),
             *named("jaxrelight.transport.resolution_error", "resolution_error"),
         ),
         HOST,

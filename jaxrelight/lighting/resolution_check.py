@@ -13,9 +13,9 @@ from jaxrelight.methods import Transport
 from jaxrelight.transport.model import PrecomputedTransport
 from jaxrelight.transport.resolution_error import (
     Rows,
-    draw_points,
     key_of_light,
     light_of,
+    points_of,
     radiance,
     resolution_error,
 )
@@ -38,7 +38,8 @@ def resolution_errors(transport: PrecomputedTransport, environment: Environment)
     if chosen is None or not isinstance(method, Transport):
         return {}
     sample = store.open_layer(stored.folder / chosen.sample)
-    points = draw_points(transport.receivers, transport.surfaces, stored.camera.origin)
+    slots = sample.read("slots", 0)
+    points = points_of(transport.receivers, transport.surfaces, slots, stored.camera.origin)
     group, rows = points.slots // GROUP, []
     has_rows = np.zeros(len(group), bool)
     for block in transport.blocks:

@@ -32,9 +32,10 @@ from jaxrelight.transport.resolution_error import (
     ChosenResolution,
     Points,
     Rows,
-    draw_points,
+    draw_slots,
     key_of_light,
     light_of,
+    points_of,
     radiance,
     resolution_error,
 )
@@ -77,7 +78,9 @@ def with_resolution(
     *coarser, finest = RESOLUTIONS_BY_NEED
     with timed(seconds, "resolution"):
         here = place(scene, dataclasses.replace(method, resolution=finest), folder, report)
-        points = draw_points(here.receivers, here.geometry.surfaces, scene.camera.origin)
+        geometry, camera = here.geometry, scene.camera
+        slots = draw_slots(here.receivers, geometry.surfaces, geometry.tracer, camera)
+        points = points_of(here.receivers, geometry.surfaces, slots, camera.origin)
         sample, rays = _sample(here, points, method, report)
         layer = _errors(here, points, method, sample)
         trimmed, untrimmed = (layer.read(name, 0).tolist() for name in ("trimmed", "untrimmed"))
@@ -107,7 +110,8 @@ def _sample(here: PlacedScene, points: Points, method: Transport, report: Report
     *coarser, finest = RESOLUTIONS_BY_NEED
     sides = *(side * method.samples_per_side for side in coarser), finest
     key = here.receivers_key(POINTS, points.slots, sides, _RAY_BATCH, *adaptive_visibility.DIALS)
-    layout = {"bits": ((len(points.slots), -1), np.dtype(np.uint8))}
+    count = len(points.slots)
+    layout = {"bits": ((count, -1), np.dtype(np.uint8)), "slots": ((count,), np.dtype(np.int64))}
     layer = store.make_layer(here.folder / f"sample-{key}", layout, len(sides))
     if not layer.missing:
         return layer, 0
@@ -129,7 +133,8 @@ def _sample(here: PlacedScene, points: Points, method: Transport, report: Report
     for done, _ in enumerate(Threads().run(trace, range(len(batches)))):
         report("resolution", done + 1, len(batches))
     for number in layer.missing:
-        layer.write(number, bits=np.concatenate([seen[number, start] for start in starts]))
+        bits = np.concatenate([seen[number, start] for start in starts])
+        layer.write(number, bits=bits, slots=points.slots.astype(np.int64))
     return layer, sum(counts)
 
 

@@ -21,9 +21,12 @@ from jaxrelight.brdf.reflection import FixedView
 from jaxrelight.brdf.spatial import SpatialLobes
 from jaxrelight.brdf.texture import PixelWeight, Texture, look_up
 from jaxrelight.files import store
+from jaxrelight.geometry.camera import Camera
 from jaxrelight.geometry.frame import frames_of_points, to_local
+from jaxrelight.geometry.gbuffer import trace_gbuffer
 from jaxrelight.geometry.receivers import Receivers
 from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.images.metric import image_error
 from jaxrelight.lights.environment import Environment, coarsened
 from jaxrelight.lights.natural_spectrum import natural_spectrum
@@ -32,6 +35,8 @@ from jaxrelight.transport import bake
 
 # How many points are drawn, and the seed of all that is drawn.
 POINTS, _SEED = 256, 0
+# Rays along the longer side of the picture that tells which vertices are seen.
+_SEEN_ALONG = 128
 # Points whose irradiance is summed at a time, and those whose BRDFs are.
 _IRRADIANCE_BATCH, _BRDF_BATCH = 8, 16
 
@@ -123,59 +128,82 @@ class Rows(NamedTuple):
     weight: PixelWeight
 
 
-def draw_points(
-    receivers: Receivers, surfaces: Surfaces, origin: Sequence[float] | np.ndarray, count: int = POINTS
-) -> Points:
-    """Some receivers: of pixels each is as likely as another, and vertices count by the area around them.
+def draw_slots(
+    receivers: Receivers, surfaces: Surfaces, tracer: Tracer, camera: Camera, count: int = POINTS
+) -> Int[np.ndarray, " p"]:
+    """Places of some receivers in the flattened groups, ascending.
 
-    One is drawn of each of as many runs of receivers, which are in the order of groups, as of close ones.
+    Of pixels each is as likely as another. Vertices count by their share of what the camera sees, or by the area around
+    them where it sees nothing: by area alone, an even floor around a small object would hide how far that is off. One
+    is drawn of each of as many runs of receivers, which are in the order of groups, as of close ones.
 
     Args:
         receivers: of the scene.
         surfaces: of the scene.
-        origin: the world position of the eye that vertices are looked at from; those that are turned away from it are
-            seen from anywhere.
-        count: of points; all receivers where there are no more.
+        tracer: of the scene.
+        camera: of the scene.
+        count: of draws; of pixels, all where there are no more.
     """
     number_of = np.argsort(receivers.slot_of, kind="stable")
-    random = np.random.default_rng(_SEED)
-    vertex = None
+    weights = np.ones(len(number_of))
     if receivers.omega_o is None:
-        vertex = np.concatenate([np.arange(len(surfaces.vertices)), np.flatnonzero(surfaces.back >= 0)])[number_of]
-        area = _areas(surfaces)[vertex]
-        ends = np.cumsum(area) / area.sum()
-    else:
-        ends = np.arange(1, len(number_of) + 1) / len(number_of)
-    place = np.arange(len(number_of))
+        weights = _shares(surfaces, tracer, camera, len(number_of))[number_of]
+    place = np.flatnonzero(weights)
     if len(place) > count:
-        drawn = (np.arange(count) + random.random(count)) / count
-        place = np.unique(np.minimum(np.searchsorted(ends, drawn, side="right"), len(place) - 1))
-    slots = receivers.slot_of[number_of[place]]
+        ends = np.cumsum(weights) / weights.sum()
+        drawn = (np.arange(count) + np.random.default_rng(_SEED).random(count)) / count
+        place = np.unique(np.minimum(np.searchsorted(ends, drawn, side="right"), place[-1]))
+    return receivers.slot_of[number_of[place]]
+
+
+def points_of(
+    receivers: Receivers, surfaces: Surfaces, slots: Int[np.ndarray, " p"], origin: Sequence[float] | np.ndarray
+) -> Points:
+    """Receivers as points.
+
+    Args:
+        receivers: of the scene.
+        surfaces: of the scene.
+        slots: from `draw_slots`.
+        origin: the world position of the eye that vertices are looked at from; those that are turned away from it are
+            seen from anywhere.
+    """
 
     def of(values: np.ndarray) -> np.ndarray:
         return values.reshape(-1, *values.shape[2:])[slots]
 
     normals = of(receivers.normals)
     frames = frames_of_points(normals, of(receivers.tangents))
-    if vertex is None:
-        assert receivers.omega_o is not None
+    if receivers.omega_o is not None:
         assert receivers.uv is not None
         assert receivers.footprint is not None
-        return Points(slots, frames, to_local(frames, of(receivers.omega_o)), of(receivers.uv), of(receivers.footprint))
+        omega_o = to_local(frames, of(receivers.omega_o))
+        return Points(slots, frames, omega_o, of(receivers.uv), of(receivers.footprint))
+    order = np.argsort(receivers.slot_of, kind="stable")
+    number = order[np.searchsorted(receivers.slot_of[order], slots)]
+    vertex = np.concatenate([np.arange(len(surfaces.vertices)), np.flatnonzero(surfaces.back >= 0)])[number]
     towards = surfaces.to_scene(origin) - of(receivers.positions)
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), np.finfo(float).tiny)
-    height, turn = random.random(len(slots)), 2 * np.pi * random.random(len(slots))
+    height, turn = np.random.default_rng(_SEED).random((2, len(slots)))
     flat = np.sqrt(1 - height**2)
-    anywhere = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1).astype(frames.dtype)
+    anywhere = np.stack([flat * np.cos(2 * np.pi * turn), flat * np.sin(2 * np.pi * turn), height], axis=1)
     faces_eye = np.sum(towards * normals, axis=1, keepdims=True) > 0
-    omega_o = np.where(faces_eye, to_local(frames, towards), anywhere)
-    return Points(slots, frames, omega_o, surfaces.uv[vertex[place]], np.zeros(len(slots)))
+    omega_o = np.where(faces_eye, to_local(frames, towards), anywhere.astype(frames.dtype))
+    return Points(slots, frames, omega_o, surfaces.uv[vertex], np.zeros(len(slots)))
 
 
-def _areas(surfaces: Surfaces) -> Float[np.ndarray, " v"]:
+def _shares(surfaces: Surfaces, tracer: Tracer, camera: Camera, count: int) -> Float[np.ndarray, " v"]:
+    """How much of a picture each vertex makes, and the back of each that has one; or areas, of an empty picture."""
+    longest = max(camera.width, camera.height)
+    width, height = (max(1, round(_SEEN_ALONG * side / longest)) for side in (camera.width, camera.height))
+    seen = trace_gbuffer(surfaces, tracer, dataclasses.replace(camera, width=width, height=height))
+    number = np.where(seen.back[:, None], surfaces.back[seen.corners], seen.corners)
+    if len(number):
+        return np.bincount(number.ravel(), np.maximum(seen.barycentric, 0).ravel(), count)
     corners = surfaces.vertices[surfaces.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    return np.bincount(surfaces.faces.ravel(), np.repeat(area, 3), len(surfaces.vertices))
+    by_vertex = np.bincount(surfaces.faces.ravel(), np.repeat(area, 3), len(surfaces.vertices))
+    return np.concatenate([by_vertex, by_vertex[surfaces.back >= 0]])
 
 
 def key_of_light(environment: Environment | None) -> str | None:

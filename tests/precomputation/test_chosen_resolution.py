@@ -10,6 +10,7 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.files import store as stores
+from jaxrelight.geometry.receivers import vertex_receivers
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.precomputation import chosen_resolution
 from jaxrelight.precomputation.chosen_resolution import Resolved, with_resolution
@@ -18,8 +19,9 @@ from jaxrelight.transport.resolution_error import (
     ChosenResolution,
     Rows,
     chosen_from,
-    draw_points,
+    draw_slots,
     light_of,
+    points_of,
     radiance,
     resolution_error,
 )
@@ -141,6 +143,19 @@ def test_lobes_that_vertices_filter_ask_for_nothing_and_those_in_factors_do(tmp_
     assert factors[8] > 1.1 * plain[8]
 
 
+def test_vertices_are_drawn_by_what_is_seen_of_them():
+    """Those of a part that the camera does not see are not, unless it sees nothing."""
+    scene = _scene(None)
+    surfaces = scene.surfaces()
+    receivers, tracer = vertex_receivers(surfaces, np.array([0, 1])), Tracer(surfaces)
+    mesh_of_slot = np.full(receivers.positions.shape[0] * receivers.positions.shape[1], -1)
+    mesh_of_slot[receivers.slot_of] = surfaces.mesh_of_vertex
+    for target, seen in (((-0.8, 0, -0.2), {0}), ((0.1, 0.2, 0), {0, 1}), ((0.1, 9, 0), {0, 1})):
+        camera = jr.Camera((-0.4, 1.2, 0.3), target, fov_y=30, width=32, height=32)
+        slots = draw_slots(receivers, surfaces, tracer, camera, count=1000)
+        assert set(mesh_of_slot[slots]) == seen
+
+
 # Once.
 
 
@@ -176,7 +191,8 @@ def test_points_reflect_what_pictures_show(folder):
     relighter = jr.prepare(scene, method, folder)
     assert isinstance(relighter.method, jr.Transport)
     stored, chosen = relighter.transport.stored, _chosen(scene, AUTO, folder)
-    points = draw_points(stored.geometry.receivers, stored.geometry.surfaces, CAMERA.origin)
+    slots = stores.open_layer(folder / chosen.sample).read("slots", 0)
+    points = points_of(stored.geometry.receivers, stored.geometry.surfaces, slots, CAMERA.origin)
     group = points.slots // 128
     rows = [Rows(np.flatnonzero(np.isin(group, of.groups)), of.brdf, of.weight) for of in relighter.transport.blocks]
     bits = stores.open_layer(folder / chosen.sample).read("bits", 0)
