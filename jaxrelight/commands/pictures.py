@@ -81,6 +81,9 @@ def prepared(
             "rays_per_second": build.rays / max(tracing, 1e-9),
             "bytes": build.nbytes,
         }
+        if build.seconds.get("bounce 1") is not None:
+            traced, above = build.gather_rays
+            summary["gather_rays"] = {"traced": traced, "above_horizons": above}
     return relighter
 
 

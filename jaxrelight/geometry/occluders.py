@@ -48,12 +48,18 @@ class Occluders:
         extent = self._radii + np.linalg.norm(origins - middle, axis=1).max() + _ROUNDING
         distance = np.linalg.norm(towards, axis=1)
         around, others = distance <= extent, distance > extent
-        if self._rise_above(origins, normals, np.flatnonzero(around)).any():
+        if self._any_rises(origins, normals, np.flatnonzero(around)):
             return np.ones(len(directions), bool)
         seen = np.flatnonzero(others)[self._rise_above(origins, normals, np.flatnonzero(others))]
         angle = np.minimum(np.arcsin(extent[seen] / distance[seen]) + radius, np.pi)
         near = directions @ (towards[seen] / distance[seen, None]).T >= np.cos(angle) - _ROUNDING
         return near.any(axis=1)
+
+    def _any_rises(self, origins, normals, clusters) -> bool:
+        """Whether any cluster has a face in part above the horizon of a receiver: mostly, one corner of each tells."""
+        heights = np.sum(normals * origins, axis=1)[:, None]
+        first = normals @ self._corners[clusters, 0].T - heights
+        return bool((first > _ROUNDING).any()) or bool(self._rise_above(origins, normals, clusters).any())
 
     def _rise_above(self, origins, normals, clusters) -> Bool[np.ndarray, " k"]:
         """Which clusters have a face in part above the horizon of a receiver."""

@@ -76,12 +76,17 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
     def both(values, back=1):
         return np.concatenate([values, back * values[two_sided]])
 
+    origins, face_normals = lifted_vertices(surfaces)
+    normals, positions, tangents = both(surfaces.normals, -1), both(_off_the_rim(surfaces)), both(surfaces.tangents)
+    return _grouped(positions, normals, face_normals, origins, tangents, None, None, None, both(material))
+
+
+def lifted_vertices(surfaces: Surfaces) -> tuple[Float[np.ndarray, "r 3"], Float[np.ndarray, "r 3"]]:
+    """Origins of the rays of every vertex, and of the back of every one that has it, and the normals of faces there."""
+    two_sided = np.flatnonzero(surfaces.back >= 0)
     face_normals, positions = _vertex_face_normals(surfaces), _off_the_rim(surfaces)
     fronts, backs = (_lifted(surfaces, positions, side * face_normals, side) for side in (1, -1))
-    origins = np.concatenate([fronts, backs[two_sided]])
-    normals, face_normals = both(surfaces.normals, -1), both(face_normals, -1)
-    positions, tangents = both(positions), both(surfaces.tangents)
-    return _grouped(positions, normals, face_normals, origins, tangents, None, None, None, both(material))
+    return np.concatenate([fronts, backs[two_sided]]), np.concatenate([face_normals, -face_normals[two_sided]])
 
 
 def pixel_receivers(

@@ -23,9 +23,8 @@ def _grids() -> tuple[LightGrid, LightGrid]:
     from scipy import sparse
 
     mixing = sparse.random_array((32, 24), density=0.3, rng=np.random.default_rng(0), format="csr")
-    return LightGrid(HaarFaces(2, 2), None, 2), LightGrid(
-        HaarFaces(2), sparse_matrix(sparse.csr_array(mixing), np.float64), 4
-    )
+    # Of single precision, as those of `light_grid`: it is kept, whatever precision is asked for first.
+    return LightGrid(HaarFaces(2, 2), None, 2), LightGrid(HaarFaces(2), sparse_matrix(sparse.csr_array(mixing)), 4)
 
 
 ENTRIES: Entries = (

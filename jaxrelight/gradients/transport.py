@@ -140,6 +140,8 @@ ENTRIES: Entries = (
             *named("jaxrelight.transport.filtered_visibility", "visibility_distances"),
             *named("jaxrelight.transport.visibility", "trace_visibility"),
             *named("jaxrelight.transport.adaptive_visibility", "trace_adaptively cells_of first_cells"),
+            *named("jaxrelight.transport.adaptive_visibility", "heights_on_faces"),
+            *named("jaxrelight.transport.hits", "trace_hits may_hit"),
             *named("jaxrelight.gather.photons", "shoot"),
         ),
         RAYS,

@@ -93,9 +93,8 @@ class PrefilteredRelighter(Relighter[VisibleSurfaces, PrefilteredLight, Visibili
         if gbuffer.is_of_sensors:
             slots, weights = self.occlusion.slots.of_vertex[:, None], np.ones((len(gbuffer.positions), 1))
             return dataclasses.replace(seen, corners=corners_of(seen, gbuffer, slots, weights, [0]))
-        vertices = np.where(gbuffer.back[:, None], self.geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
-        slots = self.occlusion.slots.of_vertex[vertices]
-        corners = corners_of(seen, gbuffer, slots, gbuffer.barycentric, [0] * len(seen.parts))
+        vertices, weights = self.geometry.corners(gbuffer)
+        corners = corners_of(seen, gbuffer, self.occlusion.slots.of_vertex[vertices], weights, [0] * len(seen.parts))
         return dataclasses.replace(seen, corners=corners)
 
     def light(self, lights: LightsLike) -> PrefilteredLight:

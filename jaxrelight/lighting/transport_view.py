@@ -58,10 +58,12 @@ def trace_receivers(
     """Traces a camera's rays and finds each pixel's receivers; what the camera of pixel receivers sees is known."""
     geometry, receivers = transport.geometry, transport.receivers
     surfaces, gbuffer = trace_view(geometry, camera, materials, geometry.visible, factor=factor)
-    vertices = transport.method.receivers == "vertices"
-    corners = np.where(gbuffer.back[:, None], geometry.surfaces.back[gbuffer.corners], gbuffer.corners)
-    slots = receivers.slot_of[corners] if vertices else receivers.slot_of[:, None]
-    weights = gbuffer.barycentric if vertices else np.ones((len(slots), 1))
+    if transport.method.receivers == "vertices":
+        corners, weights = geometry.corners(gbuffer)
+        slots = receivers.slot_of[corners]
+    else:
+        slots = receivers.slot_of[:, None]
+        weights = np.ones((len(slots), 1))
     first = {part.material: part.first_group * GROUP for part in (*transport.blocks, *transport.lobes)}
     starts = [first[materials[part.material].name] for part in surfaces.parts]
     return surfaces, corners_of(surfaces, gbuffer, slots, weights, starts)

@@ -29,6 +29,7 @@ from jaxrelight.transport.adaptive_visibility import trace_adaptively
 from jaxrelight.transport.bounce import Gather
 from jaxrelight.transport.compression import compression, shared
 from jaxrelight.transport.filtered_visibility import CELLS, MAX_ANGLE, visibility_distances
+from jaxrelight.transport.hits import NO_RAYS, GatherRays
 from jaxrelight.transport.model import SceneGeometry, frames_of
 from jaxrelight.transport.visibility import trace_visibility
 
@@ -43,6 +44,7 @@ class BuiltLayers:
         geometry: of the scene, for `load`.
         rays: traced in this run.
         notes: what the method cost that one might not expect, one line each.
+        gather_rays: of this run, along which bounced light was gathered.
     """
 
     folder: pathlib.Path
@@ -50,6 +52,7 @@ class BuiltLayers:
     geometry: SceneGeometry
     rays: int
     notes: tuple[str, ...]
+    gather_rays: GatherRays = NO_RAYS
 
 
 def make_layers(
@@ -85,6 +88,8 @@ def make_layers(
         rays = _trace_groups(visibility, receivers, here.geometry, texels, method.rays, report)
 
     materials, notes = [], []
+    if gather:
+        gather = gather.with_visibility(visibility)
     stage = f"bounce {method.bounces}" if gather else "transport"
     with timed(seconds, stage):
         for material in here.materials(grey=method.receivers == "vertices"):
@@ -117,7 +122,8 @@ def make_layers(
         )
     lights = write_lights(folder, scene.lights.local)
     header = here.header(materials, lights, visibility=visibility.folder.name, filtered=filtered)
-    return BuiltLayers(folder, header, here.geometry, rays, tuple(notes))
+    gather_rays = gather.rays if gather else NO_RAYS
+    return BuiltLayers(folder, header, here.geometry, rays, tuple(notes), gather_rays)
 
 
 def check_terms_of(scene: Scene, name: str, method: Transport) -> None:

@@ -17,6 +17,7 @@ from jaxrelight.precomputation.load import load
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.bounce import Gather, remaining
+from jaxrelight.transport.hits import NO_RAYS, GatherRays
 from jaxrelight.transport.model import PrecomputedTransport, SceneGeometry
 
 
@@ -27,12 +28,13 @@ class StoreBuild:
     Attributes:
         folder: the store.
         seconds: by stage; stages that were found done take next to nothing.
-        rays: traced in this run, but for those that bounced light is gathered along.
+        rays: traced in this run, but for those that bounces of transport are gathered along.
         receivers: number of vertices or pixels.
         nbytes: on disk, by kind of layer.
         header: what the store's header says of this scene; another process may write another one meanwhile.
         geometry: of the scene, for `load`.
         notes: what the dials cost that one might not expect, one line each.
+        gather_rays: those of all bounces of this run.
     """
 
     folder: pathlib.Path
@@ -43,6 +45,7 @@ class StoreBuild:
     header: dict
     geometry: SceneGeometry
     notes: tuple[str, ...] = ()
+    gather_rays: GatherRays = NO_RAYS
 
 
 def precompute(
@@ -87,7 +90,7 @@ def precompute(
         transport = _transport_of(passes[-1].folder, passes[-1].header, passes[-1].geometry)
         left = remaining(transport, before, albedo)
         key = store.key_of(passes[-1].header["geometry"], passes[-1].header["materials"])
-        gather = Gather(transport, key, method.gather_resolution, method.gather == "nearest")
+        gather = Gather(transport, key, method.gather_resolution, method.gather == "nearest", method.rays)
     bounces = len(passes)
     built = make_layers(scene, dataclasses.replace(method, bounces=bounces), folder, report, seconds, gather)
     notes = [str(chosen)] if chosen else []
@@ -130,7 +133,17 @@ def _finished(
     rays = built.rays + sum(one.rays for one in passes)
     assert built.geometry.receivers is not None
     count = built.geometry.receivers.count
-    return StoreBuild(built.folder, seconds, rays, count, dict(nbytes), header, built.geometry, (*built.notes, *notes))
+    return StoreBuild(
+        folder=built.folder,
+        seconds=seconds,
+        rays=rays,
+        receivers=count,
+        nbytes=dict(nbytes),
+        header=header,
+        geometry=built.geometry,
+        notes=(*built.notes, *notes),
+        gather_rays=GatherRays.total([built.gather_rays, *(one.gather_rays for one in passes)]),
+    )
 
 
 def _transport_of(folder: pathlib.Path, header: dict, geometry: SceneGeometry) -> PrecomputedTransport:

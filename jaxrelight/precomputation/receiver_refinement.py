@@ -15,11 +15,13 @@ from jaxtyping import Bool, Float, Int
 
 from jaxrelight.basis import cubemap
 from jaxrelight.files import store
+from jaxrelight.geometry.enclosed_vertices import enclosed_vertices
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.occluders import Occluders
-from jaxrelight.geometry.receivers import GROUP, vertex_receivers
+from jaxrelight.geometry.receivers import GROUP, Receivers, vertex_receivers
 from jaxrelight.geometry.subdivision import Edges, edges_of, halved
+from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.precomputation.groups import Threads
 from jaxrelight.progress import Report
@@ -87,32 +89,43 @@ class _Light(NamedTuple):
     Attributes:
         values: irradiance under every sky, over that of open sky in the mean.
         is_open: whether nothing is hidden from them.
+        enclosed: whether they lie inside closed surfaces.
     """
 
     values: Float[np.ndarray, "_ s"]
     is_open: Bool[np.ndarray, " _"]
+    enclosed: Bool[np.ndarray, " _"]
 
     def beside(self, other: "_Light") -> "_Light":
         """Those of more vertices."""
         return _Light(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
+    def between(self, ends: Int[np.ndarray, "e 2"]) -> "_Light":
+        """What pictures show in the middle between vertices: what is enclosed takes no part."""
+        is_open, enclosed = np.all(self.is_open[ends], axis=1), np.all(self.enclosed[ends], axis=1)
+        taking_part = ~self.enclosed[ends] | enclosed[:, None]
+        weights = taking_part / taking_part.sum(axis=1, keepdims=True)
+        return _Light(np.einsum("eb,ebs->es", weights, self.values[ends]), is_open, enclosed)
+
 
 def _rounds(scene: Scene, tolerance: float, report: Report | None) -> list[list[Bool[np.ndarray, " _"]]]:
     """Which edges of each part are halved, one time after the other."""
     surfaces = scene.surfaces()
-    lit = _LitVertices(Tracer(surfaces), Occluders(surfaces), report)
     meshes = [part.mesh for part in scene.parts]
-    light = lit.at(scene, meshes, [np.arange(len(mesh.vertices)) for mesh in meshes])
-    settled: list[set[int]] = [set() for _ in meshes]
+    edges = [edges_of(mesh) for mesh in meshes]
+    lengths = _lengths(meshes, edges, surfaces.radius)
+    if not any((length > _SHORTEST).any() for length in lengths):
+        return []
+    lit = _LitVertices(surfaces, report)
+    # No edge that comes to be is longer than those of its face, so that its ends are among these, or new.
+    ends = [np.unique(of.ends[length > _SHORTEST]) for of, length in zip(edges, lengths, strict=True)]
+    light = lit.at(scene, meshes, ends)
+    light = [_spread(one, own, len(mesh.vertices)) for one, own, mesh in zip(light, ends, meshes, strict=True)]
+    settled = [np.zeros(0, np.int64) for _ in meshes]
     rounds: list[list[Bool[np.ndarray, " _"]]] = []
     for _ in range(_MOST_ROUNDS):
-        edges = [edges_of(mesh) for mesh in meshes]
-        lengths = [
-            np.linalg.norm(np.diff(mesh.vertices[of.ends], axis=1)[:, 0], axis=-1) / surfaces.radius
-            for mesh, of in zip(meshes, edges, strict=True)
-        ]
         long = [length > _SHORTEST for length in lengths]
-        asked = [one & ~np.isin(_names(of), list(known)) for one, of, known in zip(long, edges, settled, strict=True)]
+        asked = [one & ~np.isin(_names(of), known) for one, of, known in zip(long, edges, settled, strict=True)]
         if not any(one.any() for one in asked):
             break
         tried = [halved(*given) for given in zip(meshes, edges, asked, strict=True)]
@@ -123,18 +136,32 @@ def _rounds(scene: Scene, tolerance: float, report: Report | None) -> list[list[
         if not any(one.any() for one in chosen):
             break
         more_light = []
-        for of, ask, take, now, middle, known in zip(edges, asked, chosen, light, middles, settled, strict=True):
-            known.update(_names(of)[ask & ~take].tolist())
+        for number, (of, ask, take) in enumerate(zip(edges, asked, chosen, strict=True)):
+            settled[number] = np.union1d(settled[number], _names(of)[ask & ~take])
             # An edge that another part's edge asks for has no light of its own yet: what lies between its ends.
-            place = np.cumsum(ask) - 1
-            between = _Light(now.values[of.ends].mean(axis=1), now.is_open[of.ends].all(axis=1))
-            own = ask[take]
-            values, is_open = between.values[take], between.is_open[take]
-            values[own], is_open[own] = middle.values[place[take & ask]], middle.is_open[place[take & ask]]
-            more_light.append(now.beside(_Light(values, is_open)))
+            added, place, own = light[number].between(of.ends[take]), np.cumsum(ask) - 1, ask[take]
+            for values, measured in zip(added, middles[number], strict=True):
+                values[own] = measured[place[take & ask]]
+            more_light.append(light[number].beside(added))
         meshes = [halved(*given) for given in zip(meshes, edges, chosen, strict=True)]
         light, rounds = more_light, [*rounds, chosen]
+        edges = [edges_of(mesh) for mesh in meshes]
+        lengths = _lengths(meshes, edges, surfaces.radius)
     return rounds
+
+
+def _lengths(meshes, edges, radius: float) -> list[Float[np.ndarray, " _"]]:
+    """Of edges, in scene space."""
+    ends = [mesh.vertices[of.ends] for mesh, of in zip(meshes, edges, strict=True)]
+    return [np.linalg.norm(one[:, 1] - one[:, 0], axis=-1) / radius for one in ends]
+
+
+def _spread(light: _Light, vertices: Int[np.ndarray, " n"], count: int) -> _Light:
+    """Light of some of a mesh's vertices among all of them."""
+    every = _Light(*(np.zeros((count, *of.shape[1:]), of.dtype) for of in light))
+    for values, own in zip(every, light, strict=True):
+        values[vertices] = own
+    return every
 
 
 def _names(edges: Edges) -> Int[np.ndarray, " e"]:
@@ -143,11 +170,13 @@ def _names(edges: Edges) -> Int[np.ndarray, " e"]:
 
 
 def _needed(edges: Edges, asked, lengths, light: _Light, middles: _Light, tolerance: float) -> Bool[np.ndarray, " e"]:
-    ends = edges.ends[asked]
-    off = np.abs(middles.values - light.values[ends].mean(axis=1)).max(axis=1)
-    hidden = ~(middles.is_open & light.is_open[ends].all(axis=1))
+    shown = light.between(edges.ends[asked])
+    off = np.abs(middles.values - shown.values).max(axis=1, initial=0)
+    partly_hidden = ~(middles.is_open & shown.is_open)
     needed = np.zeros(len(asked), bool)
-    needed[asked] = (off > tolerance) | (hidden & (lengths[asked] > _LONGEST))
+    needed[asked] = ~middles.enclosed & (off > tolerance) | partly_hidden & (lengths[asked] > _LONGEST)
+    # Nobody sees an edge that is enclosed.
+    needed[asked] &= ~(middles.enclosed & shown.enclosed)
     return needed
 
 
@@ -187,8 +216,9 @@ def _shared(meshes, edges, long, chosen, radius: float) -> list[Bool[np.ndarray,
 class _LitVertices:
     """Traces what reaches vertices of the scene's surfaces."""
 
-    def __init__(self, tracer: Tracer, occluders: Occluders, report: Report | None):
-        self._tracer, self._occluders, self._report, self._times = tracer, occluders, report, 0
+    def __init__(self, surfaces: Surfaces, report: Report | None):
+        self._surfaces, self._tracer, self._occluders = surfaces, Tracer(surfaces), Occluders(surfaces)
+        self._report, self._times = report, 0
         self._directions = cubemap.directions(_RESOLUTION)
         axes = np.concatenate([np.eye(3), -np.eye(3)])
         lobes = np.maximum(self._directions @ axes.T, 0) ** _POWER
@@ -203,18 +233,20 @@ class _LitVertices:
         starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         chosen = np.concatenate([start + own for start, own in zip(starts, vertices, strict=False)])
         fronts = self._traced(receivers, receivers.slot_of[chosen])
-        backs, has_back = fronts, surfaces.back[chosen] >= 0
+        has_back = surfaces.back[chosen] >= 0
+        values = np.concatenate([fronts.values, np.zeros_like(fronts.values)], axis=1)
+        is_open, enclosed = fronts.is_open.copy(), fronts.enclosed.copy()
         if has_back.any():
-            own = self._traced(receivers, receivers.slot_of[surfaces.back[chosen[has_back]]])
-            values, is_open = np.zeros_like(fronts.values), fronts.is_open.copy()
-            values[has_back], is_open[has_back] = own.values, fronts.is_open[has_back] & own.is_open
-            backs = _Light(values, is_open)
-        values = np.concatenate([fronts.values, np.where(has_back[:, None], backs.values, 0)], axis=1)
+            backs = self._traced(receivers, receivers.slot_of[surfaces.back[chosen[has_back]]])
+            values[has_back, fronts.values.shape[1] :] = backs.values
+            is_open[has_back] &= backs.is_open
+            enclosed[has_back] &= backs.enclosed
         cuts = np.cumsum([len(own) for own in vertices])[:-1]
-        return [_Light(*pair) for pair in zip(np.split(values, cuts), np.split(backs.is_open, cuts), strict=True)]
+        return [_Light(*one) for one in zip(*(np.split(of, cuts) for of in (values, is_open, enclosed)), strict=True)]
 
-    def _traced(self, receivers, slots: Int[np.ndarray, " v"]) -> _Light:
-        origins, normals = (of.reshape(-1, 3)[slots] for of in (receivers.origins, receivers.normals))
+    def _traced(self, receivers: Receivers, slots: Int[np.ndarray, " v"]) -> _Light:
+        every = receivers.origins, receivers.normals, receivers.face_normals
+        origins, normals, face_normals = (of.reshape(-1, 3)[slots] for of in every)
         order = np.argsort(morton((origins + 1) / 2), kind="stable")
         blocks = [order[start : start + GROUP] for start in range(0, len(order), GROUP)]
         values, is_open = np.zeros((len(slots), self._skies.shape[1])), np.zeros(len(slots), bool)
@@ -231,4 +263,4 @@ class _LitVertices:
         for done, _ in enumerate(Threads().run(trace, range(len(blocks)))):
             if self._report:
                 self._report(f"vertices, pass {self._times}", min(GROUP * (done + 1), len(slots)), len(slots))
-        return _Light(values, is_open)
+        return _Light(values, is_open, enclosed_vertices(self._surfaces, self._tracer, origins, face_normals))

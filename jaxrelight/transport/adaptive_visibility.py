@@ -24,7 +24,7 @@ _WIDEST, _LEAST_CELLS = 4, 16
 # Receivers of which each hints at what others of them miss, and the levels at which they do.
 _NEARBY, _HINTED = np.uint32, 2
 # Of heights over the horizon.
-_ROUNDING = np.float32(1e-6)
+ROUNDING = np.float32(1e-6)
 # What visibility depends on beside the scene and the receivers.
 DIALS = _WIDEST, _LEAST_CELLS, np.dtype(_NEARBY).itemsize, _HINTED
 
@@ -81,6 +81,9 @@ def trace_adaptively(
 ) -> tuple[UInt8[np.ndarray, "m bytes"], int]:
     """Visibility as `trace_visibility` gives it of the texels of a cube map, and the number of rays.
 
+    Where nothing can hide the sky from any of the receivers, all bits are 1, also those below their horizons: no light
+    that comes from there counts.
+
     Args:
         tracer: of the scene.
         occluders: of the same scene.
@@ -93,7 +96,8 @@ def trace_adaptively(
     directions, radius = _bounds(resolution)
     possible = occluders.possible(np.asarray(origins, float), np.asarray(normals, float), directions, radius)
     if not possible.any():
-        return _by_receiver(rays.above)[: len(origins)], 0
+        # Of bits that are all the same, next to nothing is left on disk; horizons would be most of a store.
+        return np.full((len(origins), 6 * resolution**2 // 8), 255, np.uint8), 0
     asked = np.where(possible, np.iinfo(np.uint64).max, 0).astype(np.uint64)[:, None]
     # Where a cell has been sampled above the horizon, and whether that ray hit nothing.
     known = rays.sampled(cells)
@@ -184,14 +188,23 @@ class _Rays:
         return _packed(bits)
 
 
-def _above(normals: Float[np.ndarray, "m 3"], resolution: int) -> UInt64[np.ndarray, "d w"]:
-    """The texels above the horizons of normals, or on them: on a face, the height is linear in rows and columns."""
+def heights_on_faces(
+    normals: Float[np.ndarray, "m 3"], resolution: int
+) -> tuple[Float[np.ndarray, "6 n m"], Float[np.ndarray, "6 n m"]]:
+    """Heights of texels over horizons: on a face linear in columns and rows, hence differences of one of each."""
+    normals = np.asarray(normals, np.float32)
     centres = (np.arange(resolution) + 0.5) * (2 / resolution) - 1
     still = np.zeros_like(centres)
     heights = (cubemap.face_plane(*of) @ normals.T for of in ((centres, still), (still, centres), (still, still)))
     along, down, middle = (of.astype(np.float32) for of in heights)
+    return along, middle - down
+
+
+def _above(normals: Float[np.ndarray, "m 3"], resolution: int) -> UInt64[np.ndarray, "d w"]:
+    """The texels above the horizons of normals, or on them."""
     # Where rounding takes a texel on the horizon for one above, it must not be taken for a hidden one.
-    faces = [columns[None] > rows[:, None] - _ROUNDING for columns, rows in zip(along, middle - down, strict=True)]
+    pairs = zip(*heights_on_faces(normals, resolution), strict=True)
+    faces = [columns[None] > rows[:, None] - ROUNDING for columns, rows in pairs]
     return np.concatenate([_packed(face.reshape(resolution**2, -1)) for face in faces])
 
 

@@ -8,9 +8,10 @@ over the texels ω of a coarse cube map that something is hit in, x̃ being what
 of how much each receiver sees of each vertex, and the clusters that hold T.
 """
 
+import copy
 import functools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,6 @@ from jaxrelight.brdf.reflection import Reflection
 from jaxrelight.files import store
 from jaxrelight.gather.gathered import Gathered
 from jaxrelight.geometry.frame import frames_of_points, to_local
-from jaxrelight.geometry.gbuffer import GBuffer, trace_points
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.numerics.buckets import filled_up
@@ -32,6 +32,7 @@ from jaxrelight.operators.clustering import as_clusters
 from jaxrelight.operators.contract import Operator, parts_of
 from jaxrelight.operators.sparse_rows import SparseRows
 from jaxrelight.transport import bake
+from jaxrelight.transport.hits import SPARED, GatherRays, Hits, trace_hits
 from jaxrelight.transport.model import Block, PrecomputedTransport
 
 # Numbers in a matrix of how much is seen, of several groups of vertices at once: what stays in cache. Sixteen times as
@@ -46,20 +47,6 @@ class _Part(NamedTuple):
     size: Int[np.ndarray, " g"]
 
 
-class Hits(NamedTuple):
-    """What the receivers of a group see: a row for each ray that hits something.
-
-    Attributes:
-        receiver: in the group.
-        texel: of the coarse cube map.
-        points: of the rays' whole set, see `GBuffer`.
-    """
-
-    receiver: Int[np.ndarray, " h"]
-    texel: Int[np.ndarray, " h"]
-    points: GBuffer
-
-
 class Gather:
     """Gathers rows of light that is reflected once more than that of a transport.
 
@@ -70,7 +57,14 @@ class Gather:
         resolution: side of the faces of the cube map that receivers look around with.
     """
 
-    def __init__(self, transport: PrecomputedTransport, key: str, resolution: int, nearest: bool = False):
+    def __init__(
+        self,
+        transport: PrecomputedTransport,
+        key: str,
+        resolution: int,
+        nearest: bool = False,
+        rays: Literal["adaptive", "all"] = "all",
+    ):
         """From a transport of vertices, whose operators are `SparseRows`, `Clustered` or sums of them.
 
         Args:
@@ -78,11 +72,16 @@ class Gather:
             key: of all that it follows from.
             resolution: side of the faces of the cube map that receivers look around with (the paper's is 32).
             nearest: take the rows of the nearest vertex at each hit, as the paper does, not those of the face's three.
+            rays: 'adaptive' casts none where the receivers' visibility is open, see `with_visibility`.
         """
         assert transport.method.receivers == "vertices"
         self.resolution = resolution
-        self.key = store.key_of(key, resolution, nearest)
-        self._transport = transport
+        enclosed = transport.geometry.enclosed
+        more = [*([SPARED] if rays == "adaptive" else []), *([enclosed] if enclosed.any() else [])]
+        self.key = store.key_of(key, resolution, nearest, *more)
+        self._transport, self._is_adaptive = transport, rays == "adaptive"
+        self._visibility: store.Layer | None = None
+        self._cast: list[GatherRays] = []
         self._nearest = nearest
         self._parts = [[_part(one, block) for one in parts_of(block.operator)] for block in transport.blocks]
         closing = [_outgoing_shape(block)[-1] for block in transport.blocks]
@@ -90,6 +89,17 @@ class Gather:
         self.channels = max(*closing, *emitted, transport.operator.shape[2])
         self.emits = transport.emits
         self._directions = bake.directions_for(resolution)
+
+    def with_visibility(self, visibility: store.Layer) -> "Gather":
+        """The same for the receivers of a layer of visibility, at which no ray has been cast yet."""
+        gather = copy.copy(self)
+        gather._visibility, gather._cast = visibility if self._is_adaptive else None, []
+        return gather
+
+    @property
+    def rays(self) -> GatherRays:
+        """Those that rows have been gathered along so far."""
+        return GatherRays.total(self._cast)
 
     def rows(
         self,
@@ -109,6 +119,7 @@ class Gather:
             channels: of the rows of each, all the same; by default no more than there need be.
         """
         hits = self.hits(receivers, group)
+        self._cast.append(hits.rays)
         m, terms = len(frames), [reflection.terms for reflection in reflections]
         c = max(channels or self.channels_of(reflections))
         seen = np.zeros((m, len(self._directions.vectors)), bool)
@@ -171,20 +182,15 @@ class Gather:
         return np.asarray(_received(light_side, seen))
 
     def hits(self, receivers: Receivers, group: int) -> Hits:
-        """Rays through the centres of the texels above each receiver's horizon."""
-        directions = cubemap.directions(self.resolution)
-        receiver, texel = np.nonzero(receivers.normals[group] @ directions.T > 0)
-        transport = self._transport
-        origins = receivers.origins[group][receiver]
-        solid_angles = cubemap.solid_angles(self.resolution)[texel]
-        points = trace_points(transport.surfaces, transport.tracer, origins, directions[texel], solid_angles)
-        return Hits(receiver[points.covered], texel[points.covered], points)
+        """What the receivers of a group see in the texels above their horizons."""
+        surfaces, tracer = self._transport.surfaces, self._transport.tracer
+        bits = None if self._visibility is None else self._visibility.read("bits", group)
+        return trace_hits(surfaces, tracer, receivers.origins[group], receivers.normals[group], self.resolution, bits)
 
     def _closings(self, hits: Hits):
         """For each block that is hit: its number, which hits, their corners in its groups, weights and view sides."""
         points, transport = hits.points, self._transport
-        corners = np.where(points.back[:, None], transport.surfaces.back[points.corners], points.corners)
-        weights = points.barycentric
+        corners, weights = transport.geometry.corners(points)
         if self._nearest:
             chosen = np.argmax(weights, axis=1)[:, None]
             corners, weights = np.take_along_axis(corners, chosen, axis=1), np.ones((len(corners), 1))

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from jaxrelight.brdf.contract import Brdf
 from jaxrelight.brdf.lobes import LobeSum
@@ -22,9 +22,10 @@ from jaxrelight.files import store
 from jaxrelight.gather.gather_cloud import GatherCloud
 from jaxrelight.gather.lit_cloud import LitCloud
 from jaxrelight.geometry.camera import Camera
+from jaxrelight.geometry.enclosed_vertices import enclosed_vertices, weights_in_the_open
 from jaxrelight.geometry.frame import frames_of_points, to_local
 from jaxrelight.geometry.gbuffer import GBuffer
-from jaxrelight.geometry.receivers import Receivers
+from jaxrelight.geometry.receivers import Receivers, lifted_vertices
 from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.geometry.surfaces import Surfaces
 from jaxrelight.geometry.tracer import Tracer
@@ -78,6 +79,22 @@ class SceneGeometry(ByKey):
     material_of_mesh: tuple[str | None, ...]
     receivers: Receivers | None = None
     visible: GBuffer | None = None
+
+    @functools.cached_property
+    def enclosed(self) -> Bool[np.ndarray, " r"]:
+        """Which vertices, and after them which backs of vertices (see `Surfaces.back`), lie inside closed surfaces."""
+        receivers = self.receivers
+        if receivers is None or self.visible is not None:
+            lifted = lifted_vertices(self.surfaces)
+        else:
+            every = receivers.origins, receivers.face_normals
+            lifted = (of.reshape(-1, 3)[receivers.slot_of] for of in every)
+        return enclosed_vertices(self.surfaces, self.tracer, *lifted)
+
+    def corners(self, points: GBuffer) -> tuple[Int[np.ndarray, "p 3"], Float[np.ndarray, "p 3"]]:
+        """The vertices, or backs of vertices, that surface points lie between, and their weights."""
+        corners = np.where(points.back[:, None], self.surfaces.back[points.corners], points.corners)
+        return corners, weights_in_the_open(points.barycentric, corners, self.enclosed)
 
     @functools.cached_property
     def key(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]

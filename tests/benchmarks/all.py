@@ -13,6 +13,8 @@ PROGRAMS = (
     "adaptive_rays",
     "coarse_meshes",
     "chosen_resolution",
+    "scene_needs",
+    "break_even",
     "kernels",
     "reference_images",
     "terms_curve",

@@ -10,9 +10,9 @@ from tests.benchmarks.measuring import Report, percent, shared
 
 MODULE = "tests.benchmarks.coarse_meshes"
 MESHES = {
-    "teapot": ("teapot.obj", None),
-    "Cornell box": ("CornellBox-Original.obj", None),
-    "Sponza": ("sponza_crytek_stripped.obj", ((-1050, 260, -40), (0, 420, 20), 70.0)),
+    "teapot": "teapot.obj",
+    "Cornell box": "CornellBox-Original.obj",
+    "Sponza": "sponza_crytek_stripped.obj",
 }
 SKIES = {
     "Grace": "grace_latlong.exr",
@@ -43,10 +43,8 @@ def main():
 def _rows(name: str, resolution: int, side: int) -> list[list[str]]:
     import jaxrelight as jr
 
-    file, seen = MESHES[name]
-    scene = jr.scene_of_mesh(shared("data", "mesh", file))
-    camera = scene.camera if seen is None else jr.Camera(seen[0], seen[1], fov_y=seen[2])
-    scene = dataclasses.replace(scene, camera=dataclasses.replace(camera, width=side, height=side))
+    scene = jr.scene_of_mesh(shared("data", "mesh", MESHES[name]))
+    scene = dataclasses.replace(scene, camera=dataclasses.replace(scene.camera, width=side, height=side))
     lights = {sky: jr.load_environment(shared("data", "env", of)) for sky, of in SKIES.items()}
     rows = []
     with tempfile.TemporaryDirectory() as temporary:

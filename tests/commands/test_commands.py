@@ -179,6 +179,7 @@ def test_surfaces_that_emit_need_no_environment(folder, run):
     made = summary_of(run("render", "lit.toml", "-o", "a.exr", "--store", "made", *dials, "--json"))
     assert made["mean_radiance"] > 0.1
     assert made["seconds"]["bounce 1"] > 0
+    assert 0 < made["gather_rays"]["traced"] <= made["gather_rays"]["above_horizons"]
     again = summary_of(run("relight", "made", "-o", "b.exr", "--json"))
     assert again["mean_radiance"] == pytest.approx(made["mean_radiance"])
     # What is lit without bounces shows no more than the surface that emits.

@@ -48,7 +48,7 @@ def _moved(by) -> np.ndarray:
 def test_the_same_is_seen_in_fewer_rays(resolution):
     every, some, rays, height = both_of(room(), resolution)
     # On the horizon itself rounding decides.
-    differs = (every != some) & (np.abs(height) > 1e-6)
+    differs = (every != some) & (height > 1e-6)
     assert differs.sum() <= 1e-4 * every.size
     assert rays[1] < (0.75 if resolution >= 32 else 1.0) * rays[0]
     assert 0.2 < every[height > 0].mean() < 0.99
@@ -65,8 +65,9 @@ def test_a_convex_body_in_the_open_casts_no_ray():
     for mesh in (jr.sphere(1, 12), jr.box([1, 2, 3])):
         every, some, rays, height = both_of(join([mesh]), 32)
         assert rays[1] == 0
-        clear = np.abs(height) > 1e-6
-        assert ((some == every) & (some == (height > 0)))[clear].all()
+        assert every[height > 1e-6].all()
+        # Below horizons, too, so that it takes no bytes in a store.
+        assert some.all()
 
 
 @pytest.mark.parametrize(("width", "lost"), [(0.015, 0.05), (0.03, 0.01)])

@@ -201,6 +201,23 @@ def test_reflections_gather_together_what_each_gathers(scene, direct):
         np.testing.assert_allclose(gathered.rows, alone.rows, rtol=1e-5, atol=1e-6)
 
 
+def test_rays_where_visibility_is_open_are_spared(direct):
+    """Adaptive rays hit what all rays hit, are counted, and make other layers."""
+    every, some = (bounce.Gather(direct, "key", 8, rays=rays) for rays in ("all", "adaptive"))
+    assert every.key == bounce.Gather(direct, "key", 8).key != some.key
+    visibility, block = direct.stored.visibility, direct.blocks[0]
+    assert visibility is not None
+    frames, group = frames_of(direct.receivers, block.groups)[0], int(block.groups[0])
+    sides = [gather.with_visibility(visibility) for gather in (every, some)]
+    rows = [gather.rows(direct.receivers, group, frames, [of_group(block.reflection, 0)])[0].rows for gather in sides]
+    np.testing.assert_array_equal(rows[0], rows[1])
+    assert np.abs(rows[0]).max() > 0
+    assert every.rays == some.rays == (0, 0)
+    all_rays, fewer = (gather.rays for gather in sides)
+    assert 0 < fewer.traced < 0.5 * all_rays.traced
+    assert all_rays.traced == all_rays.above == fewer.above
+
+
 def test_bounced_light_is_direct_light_and_what_is_gathered(scene, direct, tmp_path):
     transport = precomputed(scene, SMALL, tmp_path)
     gather = bounce.Gather(direct, "key", 8)
@@ -239,6 +256,9 @@ def test_what_is_there_is_used_again(tmp_path):
     times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
     again = precompute(scene, dataclasses.replace(ROOM, bounces=2), tmp_path)
     assert again.rays == 0
+    assert again.gather_rays == (0, 0)
+    # A closed room spares none.
+    assert 0 < first.gather_rays.traced == first.gather_rays.above
     assert times == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("0*")}
     assert again.header == first.header
     less = precompute(scene, dataclasses.replace(ROOM, bounces=1), tmp_path)
