@@ -10,7 +10,7 @@ import functools
 import inspect
 import math
 from collections.abc import Callable
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from jaxrelight.errors import InputError
 
@@ -40,6 +40,14 @@ class Method:
 # How vertices reflect lobes; see `Transport.reflection`.
 REFLECTIONS = ("filtered", "factors", "traced")
 BETWEEN_SURFACES = "light that surfaces reflect onto each other"
+# What a resolution of "auto" is one of; the last is what the others are compared with.
+RESOLUTIONS_BY_NEED: tuple[int, ...] = 16, 32, 64, 128, 256
+
+if TYPE_CHECKING:
+    # "auto" is a number before anything is precomputed, which checkers cannot know: all that reads it reads a number.
+    Resolution = Any
+else:
+    Resolution = int | Literal["auto"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,9 +78,10 @@ class Transport(Method):
     receivers: Literal["pixels", "vertices"] = "pixels"
     """Where transport is precomputed: 'pixels' of the scene's camera are exact for that camera; 'vertices' can be
     viewed from anywhere."""
-    resolution: int = 64
+    resolution: Resolution = 64
     """Side of the six faces of the cube map that light is given on; a power of two from 4 to 512. Rays and time grow
-    with its square; sharper shadows and highlights need more."""
+    with its square; sharper shadows and highlights need more. 'auto' takes the least of 16, 32, 64, 128 and 256 whose
+    error on a sample of receivers, under the scene's environment, is within compression_tolerance."""
     visibility_samples: int = 1
     """Rays for each texel of the cube map: 1, 4, 9, 16 or 25. Transport is averaged over them."""
     rays: Literal["adaptive", "all"] = "adaptive"
@@ -100,7 +109,8 @@ class Transport(Method):
     """Side of the maps of a glossy material's factors, from 4 to 128."""
     compression_tolerance: float = 0.02
     """Largest error that shared rows may leave in a group's radiance under natural light, relative to its
-    root-mean-square; from 0, which leaves nothing out, to below 1. No more bounces are made than leave out as much."""
+    root-mean-square; from 0, which leaves nothing out, to below 1. No more bounces are made than leave out as much, and
+    a resolution of 'auto' is chosen by it."""
     bits: Literal[8, 16, 32] = 32
     """Bits of every number of compressed transport: 8 take a third of the bytes, and add less error than what is left
     out."""
@@ -120,7 +130,6 @@ class Transport(Method):
         check_choice("reflection", self.reflection, REFLECTIONS)
         check_number("reflection tolerance", self.reflection_tolerance, lambda x: 0 < x < 1, "above 0, and below 1")
         for name, low, high in (
-            ("resolution", 4, 512),
             ("terms", 1, math.inf),
             ("reflection_rays", 1, 4096),
             ("factor_resolution", 4, 128),
@@ -129,7 +138,12 @@ class Transport(Method):
         ):
             check_whole(name, getattr(self, name), low, high)
         n = self.resolution
-        require(n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
+        if n == "auto":
+            n = max(RESOLUTIONS_BY_NEED)
+        elif type(n) is int and 4 <= n <= 512:
+            require(n & (n - 1) == 0, f"resolution is {n}; it must be a power of two from 4 to 512")
+        else:
+            raise InputError(f"resolution is {n!r}; it must be a whole number from 4 to 512, or 'auto'")
         check_choice("visibility samples", self.visibility_samples, (1, 4, 9, 16, 25))
         check_choice("rays", self.rays, ("adaptive", "all"))
         check_number("receiver tolerance", self.receiver_tolerance, lambda x: 0 <= x < 1, "from 0 to below 1")

@@ -69,6 +69,7 @@ class Measure:
                 with timed(seconds, "write"):
                     _write(self.output, measured)
                 summary["table"] = str(self.output)
+            notes(relighter.notes_on(lights))
             left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
             notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
             if self.json:
@@ -82,7 +83,7 @@ class Measure:
 
     def _prepared(self, report: "Report", summary: dict, seconds: dict[str, float]) -> tuple["Relighter", "Lights"]:
         """What lights the sensors of a scene, and its lights."""
-        from jaxrelight.commands.pictures import prepared
+        from jaxrelight.commands.pictures import prepared, scene_to_prepare
         from jaxrelight.progress import notes
         from jaxrelight.scene.mesh_scene import open_scene
 
@@ -91,7 +92,9 @@ class Measure:
             lights = self.light.lights(scene.lights, scene.emits, self.lights)
             scene = scene.at_sensors()
         notes(dict.fromkeys((*scene.notes, *lights.notes)))
-        return prepared(scene, method_of(self), self.store, report, summary, seconds), lights
+        method = method_of(self)
+        scene = scene_to_prepare(scene, method, lights)
+        return prepared(scene, method, self.store, report, summary, seconds), lights
 
     def _opened(self, report: "Report", summary: dict, seconds: dict[str, float]) -> tuple["Relighter", "Lights"]:
         """What a store has precomputed of sensors, and its lights or others."""

@@ -45,6 +45,13 @@ def check_output(output: pathlib.Path, layers: bool, error_samples: int = 0, ton
         raise InputError(f"{output}: holds radiance, to which no tone curve applies; name a .png, or leave --tone out")
 
 
+def scene_to_prepare(scene: Scene, method: Method, lights: Lights) -> Scene:
+    """The scene, with the environment that will light it as its own where a resolution is to be chosen for that."""
+    if not (isinstance(method, Transport) and method.resolution == "auto" and lights.environment is not None):
+        return scene
+    return dataclasses.replace(scene, lights=Lights(lights.environment, scene.lights.local))
+
+
 def prepared(
     scene: Scene, method: Method, store: pathlib.Path | None, report: Report, summary: dict, seconds: dict[str, float]
 ) -> Relighter:
@@ -125,6 +132,7 @@ def make_picture(
         error = image.measure(command.error_samples)
     left_out = relighter.method.leaves_out(lights.environment is not None, bool(lights.local))
     notes(f"{relighter.method.name} lighting leaves out {line}" for line in left_out)
+    notes(relighter.notes_on(lights))
     negative = image.negative_share
     if negative >= _TOLD_NEGATIVE:
         notes(
@@ -223,6 +231,10 @@ def _describe_plan(plan: Any, view: Any, maps: pathlib.Path | None) -> dict:
 def describe(relighter: Relighter) -> dict:
     """What lights, as a part of a summary."""
     transport = getattr(relighter, "transport", None)
-    sizes = {} if transport is None else {"operator_bytes": transport.nbytes, "kept_energy": transport.kept}
-    method = relighter.method
+    sizes: dict[str, Any] = (
+        {} if transport is None else {"operator_bytes": transport.nbytes, "kept_energy": transport.kept}
+    )
+    method, chosen = relighter.method, None if transport is None else transport.stored.chosen_resolution
+    if chosen is not None:
+        sizes["chosen_resolution"] = {"line": str(chosen), **chosen.to_record()}
     return {"lighting": method.name, **sizes, "settings": dataclasses.asdict(method), "versions": versions()}

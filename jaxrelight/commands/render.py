@@ -60,7 +60,7 @@ class Render:
         """Runs the command."""
         with summary_of("render", self.json) as (summary, seconds):
             with timed(seconds, "imports"):
-                from jaxrelight.commands.pictures import check_output, make_picture, prepared
+                from jaxrelight.commands.pictures import check_output, make_picture, prepared, scene_to_prepare
                 from jaxrelight.progress import notes, progress
                 from jaxrelight.scene.mesh_scene import open_scene
 
@@ -82,6 +82,7 @@ class Render:
                     ]
                 )
             with progress(self.json) as report:
+                scene = scene_to_prepare(scene, method, lights)
                 relighter = prepared(scene, method, self.store, report, summary, seconds)
                 summary |= make_picture(self, relighter, lights, scene.camera, seconds, report)
 

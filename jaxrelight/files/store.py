@@ -6,6 +6,8 @@
       geometry-KEY/            vertices, normals and faces
       environment-KEY/         the scene's own light
       visibility-KEY/          one bit for each direction of each receiver
+      sample-KEY/              the same of a few receivers, at several resolutions
+      resolution-KEY/          how far off each of those is
       factors-KEY/             of a BRDF
       texture-KEY/             pixels
       table-KEY/               a long array of a measured BRDF
@@ -272,6 +274,8 @@ def layers_of(header: Mapping) -> list[str]:
     named = [(kind, header.get(kind)) for kind in _KINDS]
     named.append(("environment", (header["environment"] or {}).get("pixels")))
     named.append(("lights", (header.get("lights") or {}).get("layer")))
+    chosen = header.get("chosen_resolution") or {}
+    named += [("sample", chosen.get("sample")), ("resolution", chosen.get("layer"))]
     for material in header["materials"]:
         named += [(kind, material.get(kind)) for kind in ("factors", "transport", "bounced", "indirect")]
         named += [("texture", entry) for entry in (material["normal_map"], *material["weight"])]

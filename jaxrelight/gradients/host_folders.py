@@ -48,6 +48,7 @@ ENTRIES: Entries = (
     ),
     Exempt(
         (
+            *named("jaxrelight.precomputation.chosen_resolution", "with_resolution"),
             *named("jaxrelight.precomputation.cloud_layers", "make_indirect"),
             *named("jaxrelight.precomputation.groups", "complete"),
             *named("jaxrelight.precomputation.receiver_refinement", "refined"),
@@ -58,7 +59,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.precomputation.load", "read_factor read_texture"),
             *named("jaxrelight.precomputation.material_rows", "Gathers.rows Gathers.channels_of"),
             *named("jaxrelight.precomputation.placing", "PlacedMaterial.in_rows PlacedScene.receivers"),
-            *named("jaxrelight.precomputation.placing", "PlacedScene.materials place geometry_keys"),
+            *named("jaxrelight.precomputation.placing", "PlacedScene.materials reflection_of place geometry_keys"),
             *named("jaxrelight.precomputation.precompute", "precompute check_scene"),
             *named("jaxrelight.precomputation.surface_albedo", "albedo_at_points"),
             *named("jaxrelight.precomputation.vertex_occlusion", "vertex_occlusion sensor_occlusion"),
@@ -70,7 +71,8 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.commands.measure", "table_of"),
             *named("jaxrelight.commands.options", "LightOptions.lights ViewOptions.camera"),
-            *named("jaxrelight.commands.pictures", "prepared shaded make_picture told_clipped describe"),
+            *named("jaxrelight.commands.pictures", "scene_to_prepare prepared shaded make_picture"),
+            *named("jaxrelight.commands.pictures", "told_clipped describe"),
             *named("jaxrelight.commands.inverse_lamps", "told tables_of write_report"),
             *named("jaxrelight.commands.inverse_light", "told lines_of"),
             *named("jaxrelight.commands.inverse_materials", "told lines_of write_materials write_report"),

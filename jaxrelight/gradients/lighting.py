@@ -107,6 +107,9 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.lighting.transport", "TransportRelighter.reference TransportRelighter.pictured"),
             *named("jaxrelight.lighting.transport", "TransportRelighter.not_measured TransportRelighter.error_bound"),
+            *named("jaxrelight.lighting.transport", "TransportRelighter.notes_on TransportRelighter.resolution_errors"),
+            *named("jaxrelight.lighting.resolution_check", "resolution_errors resolution_notes"),
+            *named("jaxrelight.lighting.contract", "Relighter.notes_on"),
             *named("jaxrelight.lighting.indirect", "IndirectRelighter.reference IndirectRelighter.pictured"),
             *named("jaxrelight.lighting.indirect", "IndirectRelighter.sampled IndirectRelighter.not_measured"),
             *named("jaxrelight.lighting.prefiltered", "PrefilteredRelighter.reference PrefilteredRelighter.pictured"),

@@ -130,6 +130,8 @@ ENTRIES: Entries = (
         (
             *named("jaxrelight.transport.bake", "directions_for unpack"),
             *named("jaxrelight.gather.cloud_spectrum", "cloud_spectrum"),
+            *named("jaxrelight.transport.resolution_error", "draw_slots points_of key_of_light light_of radiance"),
+            *named("jaxrelight.transport.resolution_error", "resolution_error"),
         ),
         HOST,
     ),

@@ -261,6 +261,10 @@ class Relighter(eqx.Module, Generic[ViewT, LitT, TracedT]):
         """What a reference does not tell, in words."""
         return ()
 
+    def notes_on(self, lights: LightsLike) -> tuple[str, ...]:
+        """What lights ask for that was not prepared for them, a line each. Measured when it is asked for."""
+        return ()
+
     def error(
         self, image: Image, lit: LitT, view: ViewT, *, samples: int = ERROR_SAMPLES, seed: int = 0
     ) -> PictureError | None:

@@ -34,6 +34,7 @@ from jaxrelight.lighting.lobe_rays import traced_shares
 from jaxrelight.lighting.picture_error import Pictured
 from jaxrelight.lighting.pixels import SurfacePixels
 from jaxrelight.lighting.reference import ExactTransport, Reference, Sample
+from jaxrelight.lighting.resolution_check import resolution_errors, resolution_notes
 from jaxrelight.lighting.shadows import LightGroup, Visibility, group_lights, trace_visibility
 from jaxrelight.lighting.sun import sun_terms
 from jaxrelight.lighting.transport_means import (
@@ -445,6 +446,20 @@ class TransportRelighter(Relighter[TransportView, TransportLight, Visibility]):
     def not_measured(self, lit: TransportLight) -> tuple[str, ...]:
         """What bounces bring."""
         return ("what bounces bring",) if self.method.bounces else ()
+
+    def notes_on(self, lights: LightsLike) -> tuple[str, ...]:
+        """A line where the resolution was chosen for an environment that is not as sharp as this one."""
+        return resolution_notes(self.transport, as_lights(lights).environment)
+
+    def resolution_errors(self, environment: Environment) -> dict[int, float]:
+        """The error of a resolution that was chosen by need under an environment, and of finer ones.
+
+        See `lighting.resolution_check.resolution_errors`.
+
+        Raises:
+            InputError: if a layer of the store is damaged.
+        """
+        return resolution_errors(self.transport, environment)
 
     def shade_lobes(self, lit: TransportLight, view: TransportView) -> Float[Array, "h w 3"] | None:
         """Direct light of an environment that filtered lobes reflect: filtered light times filtered visibility.

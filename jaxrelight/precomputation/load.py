@@ -51,6 +51,7 @@ from jaxrelight.transport.model import (
     fixed_view,
     streamed,
 )
+from jaxrelight.transport.resolution_error import chosen_from
 
 
 def load(
@@ -138,6 +139,7 @@ def _load(
         geometry=_for_views(geometry, method, materials, {part.material for part in lobes}),
         camera=camera,
         sensors=sensors,
+        chosen_resolution=chosen_from(header.get("chosen_resolution")),
         visibility=visibility,
         environment=store.open_layer(folder / layer) if layer else None,
         rotate_y=environment["rotate_y"],

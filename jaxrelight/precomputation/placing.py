@@ -144,7 +144,7 @@ class PlacedScene:
             if not len(groups):
                 continue
             material = as_material(self.scene.materials[name])
-            ways = [self._reflection_of(name, component.brdf) for component in material.components]
+            ways = [reflection_of(self.scene, self.method, name, component.brdf) for component in material.components]
             way = next((one for one in ways if one != "factors"), "factors")
             filtered = way != "factors"
             if filtered or self.method.receivers == "vertices":
@@ -193,15 +193,6 @@ class PlacedScene:
                 parts.append(Reflected(reflection, record, key))
             yield PlacedMaterial(name, groups, parts, notes)
 
-    def _reflection_of(self, name: str, brdf: Brdf | SpatialLobes) -> str:
-        """How one BRDF of a material is reflected; pixels have exact rows, but of lobes narrower than texels."""
-        if not isinstance(self.method, Transport) or not has_lobes(brdf):
-            return "factors"
-        if self.method.receivers == "vertices":
-            return self.scene.reflections.get(name, self.method.reflection)
-        assert isinstance(brdf, LobeSum | SpatialLobes)
-        return "filtered" if is_narrower_than_texels(brdf, self.method.resolution) else "factors"
-
     def header(self, materials: list[dict], lights: dict | None = None, **layers: str | None) -> dict:
         """What `load` takes: layers by their kinds, and records of materials."""
         scene = self.scene
@@ -219,6 +210,23 @@ class PlacedScene:
             "environment": write_environment(self.folder, scene.lights.environment),
             "lights": lights,
         }
+
+
+def reflection_of(scene: Scene, method: Transport | Indirect, name: str, brdf: Brdf | SpatialLobes) -> str:
+    """How one BRDF of a material is reflected; pixels have exact rows, but of lobes narrower than texels.
+
+    Args:
+        scene: that the material is of.
+        method: the dials.
+        name: of the material.
+        brdf: one of its BRDFs.
+    """
+    if not isinstance(method, Transport) or not has_lobes(brdf):
+        return "factors"
+    if method.receivers == "vertices":
+        return scene.reflections.get(name, method.reflection)
+    assert isinstance(brdf, LobeSum | SpatialLobes)
+    return "filtered" if is_narrower_than_texels(brdf, method.resolution) else "factors"
 
 
 def place(

@@ -12,6 +12,7 @@ from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.methods import Indirect, Transport
 from jaxrelight.precomputation.account import Account, account_of
+from jaxrelight.precomputation.chosen_resolution import with_resolution
 from jaxrelight.precomputation.cloud_layers import make_indirect
 from jaxrelight.precomputation.layers import BuiltLayers, check_terms_of, make_layers
 from jaxrelight.precomputation.load import load
@@ -66,6 +67,8 @@ def precompute(
     With bounces, every pass gathers from the rows of direct light and of the bounces before (Wang 2006 §3.2), which are
     of vertices, whatever the receivers of the last pass are. What it gathers is kept in clusters, beside direct light.
 
+    A resolution of "auto" becomes a number first, see `chosen_resolution`; the header has both.
+
     Args:
         scene: what to precompute; its environment is stored as the default light.
         method: the dials.
@@ -81,6 +84,7 @@ def precompute(
         return _finished(make_indirect(scene, method, folder, report, seconds := {}), seconds, [])
     albedo = _largest_albedo(scene) if method.bounces else 0.0
     seconds: dict[str, float] = {}
+    method, chosen, rays = with_resolution(scene, method, folder, report, seconds)
     passes, left = [], 1.0
     gather, transport = None, None
     # Bounces are of rows, which filtered lobes have none of.
@@ -94,10 +98,14 @@ def precompute(
         gather = Gather(transport, key, method.gather_resolution, method.gather == "nearest", method.rays)
     bounces = len(passes)
     built = make_layers(scene, dataclasses.replace(method, bounces=bounces), folder, report, seconds, gather)
-    notes = []
+    notes = [str(chosen)] if chosen else []
     if bounces < method.bounces:
         notes.append(
             f"{bounces} of {method.bounces} bounces were made: the others would add {left:.1%} of light at most"
+        )
+    if chosen:
+        built = dataclasses.replace(
+            built, header={**built.header, "chosen_resolution": chosen.to_record()}, rays=built.rays + rays
         )
     with timed(seconds, "account"):
         account = _account(built, method)

@@ -76,6 +76,8 @@ def trace_adaptively(
     origins: Float[np.ndarray, "m 3"],
     normals: Float[np.ndarray, "m 3"],
     resolution: int,
+    *,
+    are_close: bool = True,
 ) -> tuple[UInt8[np.ndarray, "m bytes"], int]:
     """Visibility as `trace_visibility` gives it of the texels of a cube map, and the number of rays.
 
@@ -85,9 +87,10 @@ def trace_adaptively(
     Args:
         tracer: of the scene.
         occluders: of the same scene.
-        origins: of receivers that are close to each other, lifted off the surface.
+        origins: of receivers, lifted off the surface.
         normals: theirs.
         resolution: texels along an edge of the cube map.
+        are_close: whether receivers are close to each other, so that what some of them meet, others may have missed.
     """
     rays, cells = _Rays(tracer, origins, normals, resolution), first_cells(resolution)
     directions, radius = _bounds(resolution)
@@ -102,7 +105,7 @@ def trace_adaptively(
     known, traced, level = known | ~asked, known, 0
     while cells.side > 1:
         divided = _differing(is_open, known & ~is_open, cells.neighbours) | rays.unsampled(cells, known)
-        if level < _HINTED:
+        if are_close and level < _HINTED:
             divided |= _differing_nearby(is_open, known & ~is_open)
         divided &= asked
         level, cells = level + 1, cells_of(resolution, cells.side // 2)

@@ -39,6 +39,7 @@ from jaxrelight.operators.sharded import sharded
 from jaxrelight.operators.stacked import Stacked
 from jaxrelight.transport import bake
 from jaxrelight.transport.filtered_visibility import FilteredVisibility
+from jaxrelight.transport.resolution_error import ChosenResolution
 from jaxrelight.transport.streamed import Streamed
 
 
@@ -122,6 +123,7 @@ class StoredScene(ByKey):
         local: the scene's own local lights.
         cloud: the points where light comes from that is not of the sky; None for distant light.
         sensors: whose points are the receivers in place of the camera's pixels; None where those are.
+        chosen_resolution: how the resolution was chosen; None where it was given.
     """
 
     key: str
@@ -135,6 +137,7 @@ class StoredScene(ByKey):
     local: tuple[Light, ...]
     cloud: GatherCloud | None = None
     sensors: Sensors | None = None
+    chosen_resolution: ChosenResolution | None = None
 
     def lights(self) -> Lights:
         """The scene's own lights, the environment read from its layer."""

@@ -12,6 +12,7 @@ PROGRAMS = (
     "precompute",
     "adaptive_rays",
     "coarse_meshes",
+    "chosen_resolution",
     "scene_needs",
     "break_even",
     "kernels",

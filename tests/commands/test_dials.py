@@ -143,6 +143,11 @@ def test_every_dial_is_an_option(parsed, lighting: str):
     assert {name: getattr(made, name) for name in fields} == {name: value for name, (_, value) in chosen.items()}
 
 
+def test_a_resolution_may_be_chosen_by_need(parsed):
+    command = parsed("precompute", "scene.toml", "--resolution", "auto")
+    assert method_of(command) == METHODS["transport"](resolution="auto")
+
+
 TRANSPORT = "; this scene does not have local lights alone, so the lighting method is transport\n"
 INDIRECT = "; this scene has local lights alone, so the lighting method is indirect\n"
 

@@ -4,11 +4,13 @@ import json
 import pathlib
 import re
 
+import numpy as np
 import pytest
 
+from jaxrelight import write_image
 from jaxrelight.commands.summary import summarize
 from jaxrelight.methods import Transport
-from tests.commands.running import DIALS, summary_of
+from tests.commands.running import DIALS, SCENE, summary_of
 from tests.commands.summary_keys import DIALS_OF, KEYS, keys_of
 
 PAGE = pathlib.Path(__file__).parents[2] / "notebooks" / "guide" / "json.md"
@@ -33,6 +35,45 @@ def test_keys(run, folder, request, kind: str, arguments: list[str]):
     assert keys_of(summary) == KEYS[kind]
     assert summary["command"] == arguments[0]
     assert summary.get("kind", kind) == kind
+
+
+@pytest.fixture
+def fitted(folder, run, monkeypatch) -> tuple[dict, str]:
+    """The summary and the notes of a store whose resolution was chosen."""
+    monkeypatch.setattr("jaxrelight.precomputation.chosen_resolution.RESOLUTIONS_BY_NEED", (8, 16, 32))
+    scene = SCENE.replace('"phong"\ndiffuse = 0.1\nspecular = 0.3\nexponent = 5', '"lambert"\nalbedo = 0.1')
+    (folder / "plain.toml").write_text(scene)
+    dials = "--resolution", "auto", "--compression-tolerance", "0.1", "--coefficients", "32", "-o", "store"
+    status, out, err = run("precompute", "plain.toml", *dials, "--json")
+    assert status == 0
+    return json.loads(out), err
+
+
+def test_a_chosen_resolution_is_told(fitted, run):
+    summary, notes = fitted
+    chosen = summary["chosen_resolution"]
+    assert (summary["settings"]["resolution"], chosen["resolution"], chosen["finest"]) == (8, 8, 32)
+    assert set(chosen["errors"]) == set(chosen["untrimmed"]) == {"8", "16"}
+    assert f"note: {chosen['line']}\n" in notes
+    assert {"sample", "resolution"} < set(summary["bytes"])
+    assert {"chosen_resolution", *chosen} <= set(re.findall(r"\w+", PAGE.read_text(encoding="utf-8")))
+    told = summary_of(run("info", "store", "--json"))
+    assert told["chosen_resolution"] == chosen
+    assert not told["unused_layers"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("fitted")
+def test_a_sharper_environment_is_told(folder, run):
+    pixels = np.full((64, 128, 3), 0.01, np.float32)
+    pixels[28, 30] = 1e5
+    write_image(folder / "sun.exr", pixels)
+    assert "resolution 8 was chosen: " in run("info", "store")[1]
+    assert "sharper than the one that resolution 8 was" in run("relight", "store", "--env", "sun.exr", "-o", "a.exr")[2]
+    assert "sharper" not in run("relight", "store", "-o", "a.exr")[2]
+    # A picture is rendered by what its own light needs.
+    arguments = "plain.toml", "--env", "sun.exr", "--resolution", "auto", "-o", "b.exr", "--store", "other"
+    assert "note: resolution 32 was chosen: " in run("render", *arguments)[2]
 
 
 def test_keys_of_the_demo(folder, run, monkeypatch):
