@@ -87,9 +87,9 @@ class Transport(Method):
     rays: Literal["adaptive", "all"] = "adaptive"
     """Which texels have rays of their own: 'adaptive' traces those where visibility changes, in a fraction of the rays;
     'all' leaves none out."""
-    receiver_tolerance: float = 0.0
-    """By how much light may be off halfway between vertices, relative to that of open sky: edges along which it is more
-    are halved. From 0, which leaves meshes as they are, to below 1."""
+    receiver_tolerance: float = 0.1
+    """By how much light may be off halfway along an edge of a thirty-second of the scene's size, and less on longer
+    ones: edges along which it is more are halved. From 0, which leaves meshes as they are, to below 1."""
     reflection: Literal["filtered", "factors", "traced"] = "filtered"
     """How vertices reflect lobes: 'filtered' multiplies each lobe's light by the share of it that is visible, sharp at
     any exponent and from any view; 'traced' takes that share from rays of each view's pixels; 'factors' are rows of

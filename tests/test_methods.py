@@ -17,7 +17,7 @@ DEFAULTS: dict[type[Method], dict[str, Any]] = {
         "resolution": 64,
         "visibility_samples": 1,
         "rays": "adaptive",
-        "receiver_tolerance": 0.0,
+        "receiver_tolerance": 0.1,
         "reflection": "filtered",
         "reflection_tolerance": 0.01,
         "reflection_rays": 64,

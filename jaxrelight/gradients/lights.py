@@ -278,6 +278,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.lights.environment", "environment"),
             *named("jaxrelight.lights.layouts", "faces_of"),
             *named("jaxrelight.lights.natural_spectrum", "natural_spectrum spectrum_of_levels"),
+            *named("jaxrelight.lights.sky_panel", "sky_panel"),
             *named("jaxrelight.lights.probes", "to_cube"),
             *named("jaxrelight.lights.sky", "nearest_directions"),
         ),

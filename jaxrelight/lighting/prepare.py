@@ -16,7 +16,12 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
-from jaxrelight.precomputation.vertex_occlusion import sensor_occlusion, stored_occlusion, vertex_occlusion
+from jaxrelight.precomputation.vertex_occlusion import (
+    sensor_occlusion,
+    stored_occlusion,
+    vertex_occlusion,
+    with_stored_vertices,
+)
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
 from jaxrelight.transport.model import PrecomputedIndirect, SceneGeometry
@@ -108,6 +113,8 @@ def _relighter_of(precomputed) -> TransportRelighter | IndirectRelighter:
 def _prepare_prefiltered(
     scene: Scene, method: Prefiltered, store: str | pathlib.Path | None, report: Report | None
 ) -> PrefilteredRelighter:
+    if store is not None and method.occlusion_resolution and not isinstance(scene.eye, Sensors):
+        scene = with_stored_vertices(scene, store)
     materials, geometry, occlusion = _materials(scene, method.minification), _geometry(scene), None
     if isinstance(scene.eye, Sensors):
         if store is not None:

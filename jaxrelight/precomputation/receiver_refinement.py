@@ -72,7 +72,7 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
         key: of all that rays depend on.
         report: called with the progress.
     """
-    name = f"refinement-{store.key_of(key, tolerance, DIALS)}"
+    name = layer_name(key, tolerance)
     layout = {"edges": ((-1,), np.dtype(np.int64)), "counts": ((-1,), np.dtype(np.int64))}
     layer = store.make_layer(folder / name, layout, 1)
     if layer.missing:
@@ -80,6 +80,21 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
         chosen = [np.flatnonzero(of) for one in rounds for of in one]
         edges = np.concatenate([np.zeros(0, np.int64), *chosen])
         layer.write(0, edges=edges, counts=np.array([len(one) for one in chosen], np.int64))
+    finer = stored_refinement(scene, layer)
+    before, after = (_counts([part.mesh for part in one.parts]) for one in (scene, finer))
+    added = np.flatnonzero(after > before)
+    even = after.astype(float)
+    even[added] *= [_density(finer.parts[number].mesh) for number in added]
+    return Refined(finer, name, int((after - before).sum()), int(even.sum()))
+
+
+def layer_name(key: str, tolerance: float) -> str:
+    """Of the layer that tells which edges were halved."""
+    return f"refinement-{store.key_of(key, tolerance, DIALS)}"
+
+
+def stored_refinement(scene: Scene, layer: store.Layer) -> Scene:
+    """The scene with edges halved as a layer tells."""
     counts, edges = layer.read("counts", 0), layer.read("edges", 0)
     each = np.split(edges, np.cumsum(counts)[:-1]) if len(counts) else []
     meshes, parts = [part.mesh for part in scene.parts], len(scene.parts)
@@ -90,12 +105,7 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
             mask = np.zeros(len(edges.ends), bool)
             mask[chosen] = True
             meshes[number % parts] = halved(mesh, edges, mask)
-    finer = _with_meshes(scene, meshes)
-    before, after = (_counts([part.mesh for part in one.parts]) for one in (scene, finer))
-    added = np.flatnonzero(after > before)
-    even = after.astype(float)
-    even[added] *= [_density(meshes[number]) for number in added]
-    return Refined(finer, name, int((after - before).sum()), int(even.sum()))
+    return _with_meshes(scene, meshes)
 
 
 def _counts(meshes: Sequence[Mesh]) -> Int[np.ndarray, " p"]:

@@ -18,6 +18,7 @@ from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.groups import Threads
 from jaxrelight.precomputation.placing import geometry_keys
+from jaxrelight.precomputation.receiver_refinement import layer_name, stored_refinement
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport import bake
@@ -93,6 +94,25 @@ def _traced_occlusion(
     return _occlusion(np.concatenate(codes), receivers, key)
 
 
+def with_stored_vertices(scene: Scene, folder: str | pathlib.Path) -> Scene:
+    """The scene with the vertices that a store of transport added to it; as it is where that is of another geometry.
+
+    Args:
+        scene: any.
+        folder: the store.
+
+    Raises:
+        InputError: if it is no store, or damaged.
+    """
+    folder = pathlib.Path(folder)
+    header = store.read_header(folder)
+    tolerance = header.get("method", {}).get("dials", {}).get("receiver_tolerance")
+    name = layer_name(geometry_keys(scene, scene.surfaces())[0], tolerance)
+    if header.get("refinement") != name:
+        return scene
+    return stored_refinement(scene, store.open_layer(folder / name))
+
+
 def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surfaces) -> VertexOcclusion:
     """The filtered visibility that a store of transport has of a scene's vertices; no ray, and nothing is written.
 
@@ -111,8 +131,6 @@ def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surface
         material_of_mesh, layer = np.array(header["material_of_mesh"]), header.get("filtered")
     except (KeyError, TypeError, ValueError):
         raise InputError(f"{folder / 'store.json'}: damaged; run precompute again") from None
-    if header.get("refinement"):
-        raise InputError(f"{folder}: its vertices are more than the scene's; name a store without a receiver tolerance")
     if not is_same:
         raise InputError(f"{folder}: is the store of another geometry than {scene.name}; name its own, or none")
     if not layer:

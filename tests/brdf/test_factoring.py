@@ -49,7 +49,10 @@ def test_as_few_terms_are_taken_as_leave_the_error():
 
 def test_a_store_keeps_what_was_asked_for(tmp_path):
     """The error of its factors is told, and another form is made anew."""
-    scene, method = _scene(GLOSS), jr.Transport("vertices", resolution=4, reflection="factors", factor_resolution=8)
+    scene, method = (
+        _scene(GLOSS),
+        jr.Transport("vertices", receiver_tolerance=0, resolution=4, reflection="factors", factor_resolution=8),
+    )
     blocks, notes = {}, {}
     for name, asked in {
         "plain": None,

@@ -38,7 +38,18 @@ material = "gloss"
 """
 LAMP = '[[light]]\ntype = "spot"\nposition = [1, 1.2, -1.5]\ntarget = [0, 0, 0]\nintensity = 5\ncutoff = 40\n'
 NO_BOUNCES = "note: transport lighting leaves out light that surfaces reflect onto each other"
-DIALS = "--resolution", "8", "--coefficients", "32", "--factor-resolution", "8", "--terms", "2"
+DIALS = (
+    "--resolution",
+    "8",
+    "--receiver-tolerance",
+    "0",
+    "--coefficients",
+    "32",
+    "--factor-resolution",
+    "8",
+    "--terms",
+    "2",
+)
 
 
 _MEASURED = {"--json", "--error-samples", "--help", "--help-all", "-h"}

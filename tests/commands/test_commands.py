@@ -475,7 +475,15 @@ def test_damaged_store_is_one_line(folder, run, made):
 @pytest.mark.parametrize("quick", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["quick", "own dials"])
 def test_demo(folder, run, monkeypatch, quick: bool):
     if quick:
-        small = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=8)
+        small = Transport(
+            "vertices",
+            receiver_tolerance=0,
+            reflection="factors",
+            resolution=8,
+            terms=2,
+            coefficients=32,
+            factor_resolution=8,
+        )
         monkeypatch.setattr("jaxrelight.commands.demo.Transport", lambda *_, **__: small)
     summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     pictures = {path.name for path in (folder / "shown").glob("*.png")}

@@ -77,7 +77,15 @@ def test_a_sharper_environment_is_told(folder, run):
 
 
 def test_keys_of_the_demo(folder, run, monkeypatch):
-    small = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=8)
+    small = Transport(
+        "vertices",
+        receiver_tolerance=0,
+        reflection="factors",
+        resolution=8,
+        terms=2,
+        coefficients=32,
+        factor_resolution=8,
+    )
     monkeypatch.setattr("jaxrelight.commands.demo.Transport", lambda *_, **__: small)
     summary = summary_of(run("demo", "-o", "shown", "--detail", "0.05", "--height", "16", "--json"))
     assert keys_of(summary) == KEYS["demo"]

@@ -14,7 +14,7 @@ from tests.scenes import ball_over_floor
 
 METHODS: dict[str, jr.Transport | jr.Indirect | jr.Prefiltered | jr.Adaptive] = {
     "pixels": jr.Transport("pixels", resolution=16),
-    "vertices": jr.Transport("vertices", resolution=16),
+    "vertices": jr.Transport("vertices", receiver_tolerance=0, resolution=16),
     "indirect": jr.Indirect(gather_samples=256, bounces=1, sky_samples=256),
     "prefiltered": jr.Prefiltered(map_rows=64),
     "adaptive": jr.Adaptive(samples=64),

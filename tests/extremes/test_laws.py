@@ -119,7 +119,7 @@ def box() -> Scene:
     ("method", "dials"),
     [
         ("pixels", jr.Transport("pixels", resolution=16, bounces=12)),
-        ("vertices", jr.Transport("vertices", resolution=16, bounces=12)),
+        ("vertices", jr.Transport("vertices", receiver_tolerance=0, resolution=16, bounces=12)),
         ("indirect", jr.Indirect(gather_samples=4096, bounces=12)),
     ],
 )

@@ -60,10 +60,10 @@ OTHER = (
 _DIALS = ("--resolution", 4, "--coefficients", 8, "--factor-resolution", 8, "--terms", 2)
 # Nothing is kept but visibility, from which every light bakes anew.
 EXACT = ("--receivers", "pixels", "--coefficients", "all")
-BOUNCED = ("--coefficients", "shared", "--bits", 8, "--bounces", 1, "--gather-resolution", 4)
+BOUNCED = ("--coefficients", "shared", "--bits", 8, "--bounces", 1, "--gather-resolution", 4, "--receiver-tolerance", 0)
 # Glossy lobes as rows of factors, or as filtered visibility.
-_FACTORS = "--receivers", "vertices", "--reflection", "factors"
-FILTERED = "--receivers", "vertices"
+_FACTORS = "--receivers", "vertices", "--receiver-tolerance", 0, "--reflection", "factors"
+FILTERED = "--receivers", "vertices", "--receiver-tolerance", 0
 # The last groups are of a diffuse material, and are not read.
 FILTERED_FILES = "filtered/layout.json", "filtered/first group"
 _KINDS = "environment", "factors", "geometry", "texture", "transport", "visibility"

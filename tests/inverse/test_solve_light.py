@@ -200,8 +200,8 @@ def test_bad_input_is_one_line(relighter, wrong_types, given, message):
 @pytest.mark.parametrize(
     "method",
     [
-        jr.Transport("vertices", resolution=8),
-        jr.Transport("pixels", resolution=8, bounces=1),
+        jr.Transport("vertices", receiver_tolerance=0, resolution=8),
+        jr.Transport("pixels", resolution=8, receiver_tolerance=0, bounces=1),
         jr.Prefiltered(),
         jr.Indirect(bounces=1, sky=True, gather_samples=256),
     ],

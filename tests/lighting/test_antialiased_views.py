@@ -17,7 +17,7 @@ ONES = jr.environment(np.ones((8, 16, 3), np.float32))
 LAMP = jr.point([1.0, 2.0, 1.5], 4.0)
 CAMERA = jr.Camera((0.3, 0.4, 3.0), (0, 0, 0), fov_y=45.0, width=14, height=12)
 METHODS: dict[str, Any] = {
-    "vertices": jr.Transport("vertices", resolution=8),
+    "vertices": jr.Transport("vertices", receiver_tolerance=0, resolution=8),
     "pixels": jr.Transport("pixels", resolution=8),
     "prefiltered": jr.Prefiltered(map_rows=32, occlusion_resolution=0),
     "indirect": jr.Indirect(gather_samples=64, bounces=1, sky_samples=16),

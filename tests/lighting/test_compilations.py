@@ -15,7 +15,7 @@ from tests.scenes import ball_over_floor
 
 SKY = jr.environment(np.random.default_rng(6).uniform(0.1, 1, size=(8, 16, 3)))
 CAMERA = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=24, height=20)
-SETTINGS = Transport("vertices", resolution=8, terms=2, coefficients=24, factor_resolution=8)
+SETTINGS = Transport("vertices", receiver_tolerance=0, resolution=8, terms=2, coefficients=24, factor_resolution=8)
 
 
 def _scene(ball: int, floor: int, camera=CAMERA) -> Scene:

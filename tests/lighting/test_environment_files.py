@@ -15,7 +15,7 @@ def relighter(tmp_path_factory) -> jr.Relighter:
     camera = jr.Camera(origin=(0, 1.5, 3), target=(0, 0, 0), width=16, height=16)
     scene = jr.Scene(parts, {"paper": jr.lambert(0.5)}, camera)
     folder = tmp_path_factory.mktemp("store") / "store"
-    precompute(scene, jr.Transport("vertices", resolution=8, coefficients=64), folder)
+    precompute(scene, jr.Transport("vertices", receiver_tolerance=0, resolution=8, coefficients=64), folder)
     return jr.open_store(folder)
 
 
@@ -88,7 +88,7 @@ def test_a_strip_comes_back_from_a_store_as_the_map_it_was_made_to(tmp_path):
         part = jr.Part(jr.plane((1, 1), 1), "paper")
         scene = jr.Scene([part], {"paper": jr.lambert(0.5)}, jr.Camera((0, 2, 1), (0, 0, 0)), sky)
         folder = tmp_path / str(sky.pixels.shape[0])
-        precompute(scene, jr.Transport("vertices", resolution=4, coefficients=8), folder)
+        precompute(scene, jr.Transport("vertices", receiver_tolerance=0, resolution=4, coefficients=8), folder)
         stored = jr.open_store(folder).scene_lights().environment
         assert stored is not None
         np.testing.assert_array_equal(stored.pixels, sky.pixels)

@@ -17,7 +17,9 @@ from jaxrelight.lighting.transport import TransportRelighter
 from jaxrelight.precomputation.precompute import precompute
 from tests.scenes import ball_over_floor
 
-METHOD = jr.Transport("vertices", resolution=16, coefficients=64, terms=2, factor_resolution=12, gather_resolution=8)
+METHOD = jr.Transport(
+    "vertices", receiver_tolerance=0, resolution=16, coefficients=64, terms=2, factor_resolution=12, gather_resolution=8
+)
 CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.3, 0), fov_y=45, width=32, height=24)
 GLOSS = jr.phong([0.2, 0.1, 0.05], [0.5, 0.4, 0.3], 60)
 

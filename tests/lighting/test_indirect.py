@@ -193,7 +193,7 @@ def test_a_store_is_opened_as_what_it_was_made_for(tmp_path, scene, folder, reli
     assert isinstance(again, IndirectRelighter)
     np.testing.assert_array_equal(reflected(again, LAMP), reflected(relighter, LAMP))
     wall = Scene([Part(jr.plane((1, 1), 2), "wall")], {"wall": jr.lambert(0.5)}, jr.Camera((0, 1, 0.1), (0, 0, 0)))
-    precompute(wall, Transport("vertices", resolution=4), tmp_path)
+    precompute(wall, Transport("vertices", receiver_tolerance=0, resolution=4), tmp_path)
     assert isinstance(jr.open_store(tmp_path), TransportRelighter)
 
 

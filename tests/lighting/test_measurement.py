@@ -164,7 +164,7 @@ def test_what_cannot_be_measured_is_refused(at, tmp_path):
     with pytest.raises(InputError, match="neighbouring pixels"):
         jr.prepare(OPEN.at_sensors(), jr.Adaptive())
     with pytest.raises(InputError, match="leave receivers at 'pixels'"):
-        jr.prepare(OPEN.at_sensors(), jr.Transport(receivers="vertices"), tmp_path)
+        jr.prepare(OPEN.at_sensors(), jr.Transport(receivers="vertices", receiver_tolerance=0), tmp_path)
     with pytest.raises(InputError, match="no visibility of sensors"):
         jr.prepare(OPEN.at_sensors(), METHODS["prefiltered"], tmp_path)
     with pytest.raises(InputError, match="leave antialiasing at 1"):

@@ -58,7 +58,9 @@ def test_exact_transport_is_its_own_reference(exact):
 )
 def test_all_pixels_tell_the_error_of_the_picture(dials, exact, folder):
     """Where the sample is the whole picture, the error is what `image_error` says, each part of it included."""
-    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32, **dials), folder)
+    relighter = jr.prepare(
+        scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=16, coefficients=32, **dials), folder
+    )
     view, lit = relighter.view(), relighter.light(sky())
     image = relighter.shade(lit, view)
     error = image.measure(32 * 24)
@@ -76,7 +78,7 @@ def test_all_pixels_tell_the_error_of_the_picture(dials, exact, folder):
 def test_what_rows_leave_out_is_told_from_what_lies_between_vertices(reflection, folder):
     """Without coefficients left out there is no such part, and with them it is how far both pictures are apart."""
     dials = {"resolution": 16, "coefficients": 32, "reflection": reflection, "factor_resolution": 16}
-    kept = jr.prepare(scene(), jr.Transport("vertices", **dials), folder)
+    kept = jr.prepare(scene(), jr.Transport("vertices", receiver_tolerance=0, **dials), folder)
     pictures = [one.shade(one.light(sky()), one.view()) for one in (kept, kept.exact())]
     parts = [picture.error.parts for picture in pictures]
     assert parts[1][COEFFICIENTS] < 1e-4 < parts[0][COEFFICIENTS]
@@ -88,7 +90,9 @@ def test_what_rows_leave_out_is_told_from_what_lies_between_vertices(reflection,
 
 def test_what_is_expected_of_a_picture_is_what_its_even_pixels_tell(folder):
     """No picture is shaded; where all pixels are drawn, it is the picture's own error."""
-    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32), folder)
+    relighter = jr.prepare(
+        scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=16, coefficients=32), folder
+    )
     view, lit = relighter.view(), relighter.light(sky())
     expected = relighter.expected_error(lit, view, samples=32 * 24)
     told = relighter.error(relighter.shade(lit, view), lit, view, samples=32 * 24)
@@ -104,7 +108,9 @@ def test_what_is_expected_of_a_picture_is_what_its_even_pixels_tell(folder):
 @pytest.mark.usefixtures("wrong_types")
 @pytest.mark.parametrize("samples", [-1, 2.5, "many"])
 def test_a_wrong_number_of_samples_is_refused(folder, samples):
-    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32), folder)
+    relighter = jr.prepare(
+        scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=16, coefficients=32), folder
+    )
     view, lit = relighter.view(), relighter.light(sky())
     with pytest.raises(jr.InputError, match=r"samples are .* must be whole numbers from 0"):
         relighter.expected_error(lit, view, samples=samples)
@@ -113,7 +119,9 @@ def test_a_wrong_number_of_samples_is_refused(folder, samples):
 
 
 def test_errors_are_not_measured_inside_of_compiled_functions(folder):
-    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, coefficients=32), folder)
+    relighter = jr.prepare(
+        scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=16, coefficients=32), folder
+    )
     view, lit = relighter.view(), relighter.light(sky())
     image = relighter.shade(lit, view)
     for ask in (lambda im: relighter.error(im, lit, view), lambda im: relighter.expected_error((lit, im), view)):
@@ -132,7 +140,11 @@ def test_plans_tell_what_is_expected_of_adaptive_lighting():
 @pytest.mark.slow
 def test_bounces_are_named_and_not_counted(folder):
     plain, bounced = (
-        jr.prepare(scene(), jr.Transport("vertices", resolution=8, bounces=bounces, factor_resolution=8), folder)
+        jr.prepare(
+            scene(),
+            jr.Transport("vertices", receiver_tolerance=0, resolution=8, bounces=bounces, factor_resolution=8),
+            folder,
+        )
         for bounces in (0, 1)
     )
     errors = [one.shade(one.light(sky()), one.view()).measure(800) for one in (plain, bounced)]
@@ -145,7 +157,9 @@ def test_bounces_are_named_and_not_counted(folder):
 
 
 def test_some_pixels_of_a_view_show_what_they_do_in_it(folder):
-    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=16, reflection="traced"), folder)
+    relighter = jr.prepare(
+        scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=16, reflection="traced"), folder
+    )
     view, lit = relighter.view(), relighter.light([sky(), jr.point([1, 2, 1], 3.0)])
     image = np.asarray(relighter.shade(lit, view).radiance).reshape(-1, 3)
     chosen = view.surfaces.pixels[3::7]
@@ -238,7 +252,7 @@ def test_what_both_have_in_common_is_added_by_squares():
 
 
 def test_nothing_seen_and_nothing_lit_have_no_error(folder):
-    relighter = jr.prepare(scene(), jr.Transport("vertices", resolution=8), folder)
+    relighter = jr.prepare(scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=8), folder)
     away = relighter.view(dataclasses.replace(CAMERA, target=(0.4, 9, 2.5)))
     lit = relighter.light(sky())
     assert relighter.shade(lit, away).error is None

@@ -9,6 +9,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight import Scene
 from jaxrelight.images import image_error
+from jaxrelight.precomputation.vertex_occlusion import with_stored_vertices
 from tests.scenes import ball_over_floor
 
 CAMERA = jr.Camera((0.4, 1.0, 2.0), (0, 0.2, 0), fov_y=45, width=32, height=24)
@@ -81,7 +82,10 @@ def test_a_store_of_transport_has_it(stored: pathlib.Path):
     for gloss in (jr.phong(0.2, 0.5, 40), jr.lambert([0.7, 0.5, 0.3])):
         of = scene(gloss)
         from_store = jr.prepare(of, method, stored, lambda *of: told.append(of)).picture(background=False)
-        traced = jr.prepare(of, method).picture(background=False)
+        # The store's vertices are those of the scene, and others where light needed them.
+        finer = with_stored_vertices(of, stored)
+        assert len(finer.surfaces().vertices) > len(of.surfaces().vertices)
+        traced = jr.prepare(finer, method).picture(background=False)
         assert image_error(from_store, traced).untrimmed < 1e-5
     assert not told
 
@@ -95,6 +99,10 @@ def test_stores_without_it_are_refused(stored: pathlib.Path, tmp_path: pathlib.P
         jr.prepare(glossy, jr.Prefiltered(occlusion_resolution=0), stored)
     with pytest.raises(jr.InputError, match="store"):
         jr.prepare(glossy, jr.Prefiltered(), tmp_path / "none")
-    jr.prepare(other, jr.Transport("vertices", resolution=4, reflection="factors", factor_resolution=8), tmp_path / "s")
+    jr.prepare(
+        other,
+        jr.Transport("vertices", receiver_tolerance=0, resolution=4, reflection="factors", factor_resolution=8),
+        tmp_path / "s",
+    )
     with pytest.raises(jr.InputError, match="no filtered visibility; precompute vertices"):
         jr.prepare(other, jr.Prefiltered(), tmp_path / "s")

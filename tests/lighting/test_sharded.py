@@ -28,7 +28,8 @@ def lit(relighter):
     return relighter.terms(relighter.light_vector(sky)), picture(sky), gradient
 
 for coefficients in "shared", 48:
-    method = jr.Transport("vertices", reflection="factors", resolution=8, coefficients=coefficients)
+    dials = {"receiver_tolerance": 0, "reflection": "factors", "resolution": 8}
+    method = jr.Transport("vertices", **dials, coefficients=coefficients)
     relighter = jr.prepare(scene, method, f"{sys.argv[1]}/{coefficients}")
     mesh = jax.make_mesh((4,), ("groups",))
     spread = eqx.tree_at(

@@ -14,7 +14,14 @@ from tests.opening import open_transport
 from tests.scenes import block_aside
 
 SETTINGS = Transport(
-    "vertices", reflection="factors", resolution=8, terms=2, factor_resolution=12, coefficients=24, gather_resolution=8
+    "vertices",
+    receiver_tolerance=0,
+    reflection="factors",
+    resolution=8,
+    terms=2,
+    factor_resolution=12,
+    coefficients=24,
+    gather_resolution=8,
 )
 
 

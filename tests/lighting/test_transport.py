@@ -134,7 +134,9 @@ def test_many_lights_where_surfaces_emit(tmp_path, coefficients):
     lamp = Material(as_material(jr.lambert(0.0)).components, emission=np.array([5, 4, 3], np.float32))
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(raised(jr.box((0.2, 0.2, 0.2), 1), 0.3), "lamp")]
     scene = Scene(parts, {"paper": jr.lambert([0.7, 0.6, 0.5]), "lamp": lamp}, _scene().camera)
-    settings = Transport("vertices", resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients)
+    settings = Transport(
+        "vertices", receiver_tolerance=0, resolution=8, bounces=1, gather_resolution=8, coefficients=coefficients
+    )
     precompute(scene, settings, tmp_path)
     relighter = open_transport(tmp_path)
     assert any(block.emitted is not None for block in relighter.transport.blocks)
@@ -211,7 +213,7 @@ def test_light_from_one_side_falls_on_that_side(tmp_path):
     sun[7:9, 7:9] = 100
     camera = jr.Camera((2, 1, -2), (0, 0, 0), fov_y=40, width=16, height=16)
     scene = Scene([Part(jr.box((1, 1, 1), 1), "paper")], {"paper": jr.lambert(0.5)}, camera)
-    precompute(scene, Transport("vertices", resolution=8, coefficients=256), tmp_path)
+    precompute(scene, Transport("vertices", receiver_tolerance=0, resolution=8, coefficients=256), tmp_path)
     relighter = open_transport(tmp_path)
     normals = jr.box((1, 1, 1), 1).normals
     slots = relighter.transport.receivers.slot_of

@@ -26,7 +26,7 @@ def scene() -> Scene:
 @pytest.fixture(scope="module")
 def free(scene, tmp_path_factory) -> TransportRelighter:
     folder = tmp_path_factory.mktemp("vertices")
-    precompute(scene, Transport("vertices", resolution=8, coefficients=48), folder)
+    precompute(scene, Transport("vertices", receiver_tolerance=0, resolution=8, coefficients=48), folder)
     return open_transport(folder)
 
 

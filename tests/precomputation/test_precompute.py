@@ -44,7 +44,9 @@ from tests.scenes import ball_over_floor
 from tests.transport.stores import load_transport, number_of, open_transport, reflections_of
 
 # One set of shapes for most of the file: compiling is what takes time here.
-METHOD = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=12)
+METHOD = Transport(
+    "vertices", receiver_tolerance=0, reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=12
+)
 PIXELS = dataclasses.replace(METHOD, receivers="pixels")
 
 
@@ -115,7 +117,7 @@ def test_summary_tells_what_was_done(scene, tmp_path):
     # Half of the directions are above a receiver, the copies that fill up groups included.
     groups = store.open_layer(next((tmp_path / "store").glob("visibility-*"))).groups
     assert summary.rays == pytest.approx(groups * 128 * 6 * 8**2 / 2, rel=0.1)
-    assert set(summary.seconds) == {"geometry", "visibility", "transport"}
+    assert set(summary.seconds) == {"geometry", "visibility", "transport", "account"}
     on_disk: dict[str, int] = dict.fromkeys(("geometry", "environment", "visibility", "factors", "transport"), 0)
     for path in summary.folder.glob("*-*/**/*"):
         if path.is_file():
@@ -205,6 +207,7 @@ def test_changed_dials_use_other_layers(tmp_path, monkeypatch, change: dict, tra
     """A key that left out a dial would give the layer of another."""
     # Which layers are asked for shows without baking them.
     monkeypatch.setattr(MaterialRows, "_complete", lambda *_: None)
+    monkeypatch.setattr("jaxrelight.precomputation.precompute._account", lambda *_: None)
     parts = [Part(jr.plane((2, 2), 2), "paper"), Part(jr.sphere(0.4, 2), "gloss")]
     materials = {"paper": jr.lambert(0.5), "gloss": jr.phong(0.1, 0.3, 5)}
     scene = Scene(parts, materials, jr.Camera((0, 1, 3), (0, 0, 0), width=8, height=8))
@@ -461,7 +464,8 @@ import pathlib, sys
 import jaxrelight as jr
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.scene.demo_scene import demo_scene
-method = jr.Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients=32, factor_resolution=12)
+dials = {"receiver_tolerance": 0, "reflection": "factors", "resolution": 8, "terms": 2, "coefficients": 32}
+method = jr.Transport("vertices", factor_resolution=12, **dials)
 def report(*progress):
     print(*progress, flush=True)
 precompute(demo_scene(detail=0.1, size=24), method, pathlib.Path(sys.argv[1]), report)

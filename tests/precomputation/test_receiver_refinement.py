@@ -118,5 +118,3 @@ def test_pictures_are_nearer_to_those_of_pixels(tmp_path, monkeypatch):
     np.testing.assert_array_equal(again, picture)
     used = stores.layers_of(stores.read_header(tmp_path / "store"))
     assert any(name.startswith("refinement-") for name in used)
-    with pytest.raises(jr.InputError, match="its vertices are more than the scene's"):
-        jr.prepare(room(), jr.Prefiltered(map_rows=32), tmp_path / "store")

@@ -25,6 +25,7 @@ from tests.transport.stores import block_of, load_transport, precomputed, reflec
 
 SMALL = Transport(
     "vertices",
+    receiver_tolerance=0,
     reflection="factors",
     resolution=8,
     terms=2,

@@ -25,7 +25,7 @@ from jaxrelight.transport.rebake import rebake
 from tests.transport.scenes import ball_on_floor
 from tests.transport.stores import block_of, precomputed, reflections_of
 
-SMALL = Transport("vertices", reflection="factors", resolution=8, terms=2, factor_resolution=12)
+SMALL = Transport("vertices", receiver_tolerance=0, reflection="factors", resolution=8, terms=2, factor_resolution=12)
 BASIS = HaarFaces(8)
 
 

@@ -28,7 +28,15 @@ from tests.transport.stores import block_of, load_transport, number_of, open_tra
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 PIXELS = np.random.default_rng(7).random((6, 9, 3)).astype(np.float32)
 TEXTURE = Texture(jax.device_put(PIXELS))
-METHOD = Transport("vertices", reflection="factors", resolution=8, terms=2, coefficients="all", factor_resolution=12)
+METHOD = Transport(
+    "vertices",
+    receiver_tolerance=0,
+    reflection="factors",
+    resolution=8,
+    terms=2,
+    coefficients="all",
+    factor_resolution=12,
+)
 
 
 def _scene(paper, gloss=None) -> Scene:

@@ -81,7 +81,13 @@ def test_every_pixel_has_the_lobes_at_its_own_place(tmp_path):
 # At vertices, by factors that all texels share.
 
 VERTICES = jr.Transport(
-    "vertices", reflection="factors", resolution=8, coefficients="all", terms=40, factor_resolution=24
+    "vertices",
+    receiver_tolerance=0,
+    reflection="factors",
+    resolution=8,
+    coefficients="all",
+    terms=40,
+    factor_resolution=24,
 )
 
 
