@@ -4,11 +4,13 @@ import dataclasses
 import functools
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxrelight.geometry.gbuffer import GBuffer
 from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
+from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.geometry.triangles import area_vectors
 
 # Receivers of a group: the unit of tracing, baking, storing and resuming.
 GROUP = 128
@@ -17,6 +19,10 @@ GROUP = 128
 _INSET = 4
 # The cosine between the normals of a vertex and of a face around it that are taken to be on the same side.
 _MIN_SLOPE = 0.2
+# The slope above which a neighbour rises above the horizon of a vertex.
+_RISE = 0.01
+# Faces lie in two planes where the least eigenvalue of their normals' products is this much of the largest.
+_FLAT = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,8 +74,17 @@ class Receivers:
         return np.flatnonzero(self.material_of_group == material)
 
 
-def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]) -> Receivers:
-    """Every vertex, and the back of every one that has it: the view stays free."""
+def vertex_receivers(
+    surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"], tracer: Tracer | None = None
+) -> Receivers:
+    """Every vertex, and the back of every one that has it: the view stays free.
+
+    Args:
+        surfaces: of the scene.
+        material_of_mesh: numbers.
+        tracer: of the scene: rays of vertices in faces that stand for a smooth surface leave from that, as those of
+            pixels do, unless something stands between. Without it they leave from the faces.
+    """
     material = np.asarray(material_of_mesh)[surfaces.mesh_of_vertex]
     two_sided = np.flatnonzero(surfaces.back >= 0)
 
@@ -77,6 +92,8 @@ def vertex_receivers(surfaces: Surfaces, material_of_mesh: Int[np.ndarray, " m"]
         return np.concatenate([values, back * values[two_sided]])
 
     origins, face_normals = lifted_vertices(surfaces)
+    if tracer is not None:
+        origins = _on_smooth_surface(surfaces, tracer, origins)
     normals, positions, tangents = both(surfaces.normals, -1), both(_off_the_rim(surfaces)), both(surfaces.tangents)
     return _grouped(positions, normals, face_normals, origins, tangents, None, None, None, both(material))
 
@@ -145,6 +162,52 @@ def _lifted(
         short = surfaces.vertex_lift[vertex] - np.sum(moved * of_faces, axis=1)
         np.maximum.at(height, vertex, np.where(slope > _MIN_SLOPE, short / np.maximum(slope, _MIN_SLOPE), 0))
     return positions + height[:, None] * normals
+
+
+def _on_smooth_surface(
+    surfaces: Surfaces, tracer: Tracer, origins: Float[np.ndarray, "r 3"]
+) -> Float[np.ndarray, "r 3"]:
+    """Origins of vertices that lie below the smooth surface that their faces stand for, raised to it.
+
+    Those are vertices inside what was a larger face, or on what was a longer edge, so that all faces around them lie in
+    one or two planes, and neighbours rise above the horizons of their shading normals. They move to the mean of their
+    projections onto the tangent planes of their neighbours, see `ray_origins`.
+    """
+    count = len(surfaces.vertices)
+    pairs = np.concatenate([surfaces.faces[:, [a, b]] for a in range(3) for b in range(3) if a != b])
+    towards = surfaces.vertices[pairs[:, 1]] - surfaces.vertices[pairs[:, 0]]
+    rise = np.sum(towards * surfaces.normals[pairs[:, 0]], axis=1)
+    steep = np.abs(rise) > _RISE * np.linalg.norm(towards, axis=1)
+    below = np.sum(towards * surfaces.normals[pairs[:, 1]], axis=1)
+    degree = np.maximum(np.bincount(pairs[:, 0], minlength=count), 1)
+    fronts, two_sided = np.arange(count), np.flatnonzero(surfaces.back >= 0)
+    raised = origins.copy()
+    for side, vertices, start in ((1.0, fronts, 0), (-1.0, two_sided, count)):
+        inside = np.zeros(count, bool)
+        inside[pairs[steep & (side * rise > 0), 0]] = True
+        inside &= ~surfaces.pure_normals[surfaces.mesh_of_vertex]
+        inside[inside] = _in_two_planes(surfaces, np.flatnonzero(inside))
+        moves = (np.maximum(side * below, 0) * side / degree[pairs[:, 0]])[:, None] * surfaces.normals[pairs[:, 1]]
+        own = np.flatnonzero(inside[vertices])
+        bulge = np.stack([np.bincount(pairs[:, 0], moves[:, axis], count) for axis in range(3)], axis=1)[vertices[own]]
+        height = np.linalg.norm(bulge, axis=1)
+        own, bulge, height = own[height > 0] + start, bulge[height > 0], height[height > 0]
+        if len(own):
+            clear = ~tracer.blocked(raised[own], bulge / height[:, None], height)
+            raised[own[clear]] += bulge[clear]
+    return raised
+
+
+def _in_two_planes(surfaces: Surfaces, vertices: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Vertices of which all faces around lie in one plane or in two."""
+    place = np.full(len(surfaces.vertices), -1)
+    place[vertices] = np.arange(len(vertices))
+    face, corner = np.nonzero(place[surfaces.faces] >= 0)
+    areas = area_vectors(surfaces.vertices[surfaces.faces[face]])
+    sums = np.zeros((len(vertices), 3, 3))
+    np.add.at(sums, place[surfaces.faces[face, corner]], areas[:, :, None] * areas[:, None])
+    least, _, most = np.linalg.eigvalsh(sums).T
+    return least <= _FLAT * most
 
 
 def _vertex_face_normals(surfaces: Surfaces) -> np.ndarray:

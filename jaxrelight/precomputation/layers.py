@@ -84,7 +84,9 @@ def make_layers(
         here = place(scene, method, folder, report)
     folder, receivers = here.folder, here.receivers
     of_rays = adaptive_visibility.DIALS if method.rays == "adaptive" else ()
-    visibility_key = here.receivers_key(method.resolution, method.visibility_samples, GROUP, "counted", *of_rays)
+    visibility_key = here.receivers_key(
+        method.resolution, method.visibility_samples, GROUP, "counted, on smooth surfaces", *of_rays
+    )
     texels = method.resolution * method.samples_per_side
     with timed(seconds, "visibility"):
         visibility = store.make_layer(

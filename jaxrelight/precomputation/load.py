@@ -353,7 +353,12 @@ def receivers_of(
     They follow from the geometry, so that no store need hold them.
     """
     if method.receivers == "vertices":
-        return vertex_receivers(at_vertices(surfaces, normal_maps), material_of_mesh), None
+        bent = at_vertices(surfaces, normal_maps)
+        if any(normal_maps):
+            # Bent normals are those of no smooth surface.
+            pure = surfaces.pure_normals | np.array([one is not None for one in normal_maps])
+            bent = dataclasses.replace(bent, pure_normals=pure)
+        return vertex_receivers(bent, material_of_mesh, tracer), None
     seen = see(surfaces, tracer, eye, normal_maps)
     return pixel_receivers(seen, ray_origins(surfaces, tracer, seen), material_of_mesh), seen
 

@@ -281,7 +281,7 @@ class _LitVertices:
     def at(self, scene: Scene, meshes: Sequence[Mesh], vertices: Sequence[Int[np.ndarray, " _"]]) -> list[_Light]:
         """What reaches some vertices of every mesh of the scene's."""
         surfaces = _with_meshes(scene, meshes).surfaces()
-        receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int))
+        receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int), self._tracer)
         starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         chosen = np.concatenate([start + own for start, own in zip(starts, vertices, strict=False)])
         fronts = self._traced(receivers, receivers.slot_of[chosen])

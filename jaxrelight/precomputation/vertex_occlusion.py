@@ -58,7 +58,7 @@ def vertex_occlusion(
         resolution: side of the faces of the cube map along whose texels rays go.
         report: called with the progress, in vertices.
     """
-    receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int))
+    receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int), tracer)
     return _traced_occlusion(receivers, surfaces, tracer, resolution, report)
 
 

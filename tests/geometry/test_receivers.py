@@ -12,6 +12,7 @@ from jaxrelight.geometry.mesh import Mesh, transformed
 from jaxrelight.geometry.primitives import box, plane, sphere
 from jaxrelight.geometry.ray_origins import ray_origins
 from jaxrelight.geometry.receivers import GROUP, Receivers, pixel_receivers, vertex_receivers
+from jaxrelight.geometry.subdivision import edges_of, halved
 from jaxrelight.geometry.surfaces import join
 from jaxrelight.geometry.tracer import Tracer
 from jaxrelight.transport.visibility import trace_visibility
@@ -151,3 +152,29 @@ def test_origins_at_the_rim_of_a_hollow_are_above_the_faces_that_rise_from_it():
             moved, normals = mine[vertex] - surfaces.vertices[vertex], surfaces.face_normals(np.arange(32))
             above = side * np.sum(moved * normals, axis=1)
             assert (above >= 0.999 * surfaces.vertex_lift[vertex]).all()
+
+
+def test_rays_of_vertices_inside_faces_leave_from_the_smooth_surface():
+    """A ball with finer faces in the same planes occludes itself as little as before: under open sky not at all."""
+    coarse = sphere(0.5, 6)
+    edges = edges_of(coarse)
+    fine = halved(coarse, edges, np.ones(len(edges.ends), bool))
+    edges = edges_of(fine)
+    fine = halved(fine, edges, np.ones(len(edges.ends), bool))
+    surfaces = join([fine])
+    tracer, hidden = Tracer(surfaces), []
+    for of in (None, tracer):
+        receivers = vertex_receivers(surfaces, np.array([0]), of)
+        seen = [
+            trace_visibility(tracer, *rays, cubemap.directions(8))
+            for rays in zip(receivers.origins, receivers.normals, strict=True)
+        ]
+        rays = sum(count for _, count in seen)
+        hidden.append(1 - sum(int(np.unpackbits(bits).sum()) for bits, _ in seen) / rays)
+    assert hidden[0] > 0.01
+    assert hidden[1] < 0.15 * hidden[0]
+    # Vertices of the ball as it was stay where they were.
+    count = len(coarse.vertices)
+    lifted, raised = (vertex_receivers(surfaces, np.array([0]), of) for of in (None, tracer))
+    own = lifted.slot_of[:count]
+    np.testing.assert_array_equal(raised.origins.reshape(-1, 3)[own], lifted.origins.reshape(-1, 3)[own])
