@@ -154,7 +154,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.transport.bounce", "Gather.rows Gather.channels_of Gather.light Gather.hits"),
             *named("jaxrelight.transport.bounce", "remaining"),
             *named("jaxrelight.transport.compression", "of_cloud bake_compressed Rows.compress Rows.arrays"),
-            *named("jaxrelight.transport.compression", "Rows.rows Clusters.rows"),
+            *named("jaxrelight.transport.compression", "Clusters.rows"),
             *named("jaxrelight.transport.compression", "Rows.open Clusters.compress Clusters.open"),
         ),
         PRECOMPUTATION,

@@ -20,7 +20,7 @@ from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.groups import Threads
 from jaxrelight.transport import bake
-from jaxrelight.transport.compression import compression
+from jaxrelight.transport.compression import Clusters, compression
 from jaxrelight.transport.model import frames_of
 from jaxrelight.transport.visibility import trace_visibility
 
@@ -42,7 +42,8 @@ class Account:
         rays_error: what they change of irradiance, relative, under a panel of skies.
         row_bytes: of rows of direct light, on disk.
         all_row_bytes: of all their coefficients, in single precision.
-        rows_error: what the coefficients that are left out change of radiance under natural light, relative.
+        rows_error: what the coefficients that are left out change of radiance, relative: of shared rows under natural
+            light, of a number of coefficients under white noise.
         samples: receivers that were done in full for both errors.
         terms: of each material's rows.
         channels: of each material's rows: 1 where colour is a factor.
@@ -175,7 +176,10 @@ def _seen(bits: UInt8[np.ndarray, "m bytes"], cosines: Float[np.ndarray, "m d"])
 
 
 def _rows_error(method: Transport, bits, receivers: Receivers, stored: Sequence[Rows]) -> float:
-    """Of light terms under light of the natural spectrum, relative to their root-mean-square."""
+    """Of light terms under light of the natural spectrum, relative to their root-mean-square.
+
+    Of a number of coefficients it is under white noise, which is more: the energy of what they leave out is known.
+    """
     if method.coefficients == "all" or not stored:
         return 0.0
     held, basis, spectrum = compression(method), HaarFaces(method.resolution), natural_spectrum(method.resolution)
@@ -185,9 +189,12 @@ def _rows_error(method: Transport, bits, receivers: Receivers, stored: Sequence[
         assert one.layer is not None
         for group in np.intersect1d(one.groups, list(bits)).tolist():
             number = int(group - one.groups[0])
+            arrays = {name: one.layer.read(name, number) for name in one.layer.arrays}
+            if not isinstance(held, Clusters):
+                off, size = off + arrays["dropped"].sum(dtype=float), size + arrays["total"].sum(dtype=float)
+                continue
             frames, reflection = frames_of(receivers, np.array([group]))[0], of_group(one.reflection, number)
             exact = np.asarray(bake.bake_rows(as_array(bits[group]), frames, reflection, directions, basis))
-            arrays = {name: one.layer.read(name, number) for name in one.layer.arrays}
             off += np.sum(np.square((held.rows(arrays, exact.shape[1]) - exact) * spectrum, dtype=float))
             size += np.sum(np.square(exact * spectrum, dtype=float))
     return float(np.sqrt(off / size)) if size > 0 else 0.0

@@ -137,20 +137,6 @@ class Rows:
             "total": np.asarray(kept.total, np.float32),
         }
 
-    def rows(self, group: Mapping[str, np.ndarray], terms: int) -> Float[np.ndarray, "m k c d"]:
-        """A group's rows from the arrays of a layer, over all coefficients.
-
-        Args:
-            group: the arrays.
-            terms: of each receiver, as the arrays tell, too.
-        """
-        indices, values = group["indices"].astype(np.int64), _decoded("values", group, _RUN)
-        m, k, c, n = values.shape
-        rows, place = np.zeros((m * k * c, self._columns), np.float32), np.repeat(indices[:, :, None], c, axis=2)
-        # Added, since what fills a row up is 0 at an index that another of its coefficients may have.
-        np.add.at(rows, (np.arange(len(rows))[:, None], place.reshape(-1, n)), values.reshape(-1, n))
-        return rows.reshape(m, k, c, -1)
-
     def open(self, layer: store.Layer) -> Opened:
         """Row-sparse; of padded length, so that few shapes are compiled."""
         arrays = layer.read_all()

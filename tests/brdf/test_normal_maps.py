@@ -18,7 +18,7 @@ from jaxrelight.methods import Transport
 from jaxrelight.precomputation.precompute import precompute
 from tests.opening import open_transport
 
-SETTINGS = Transport("pixels", resolution=8, terms=2, coefficients="all", factor_resolution=12)
+SETTINGS = Transport("pixels", receiver_tolerance=0, resolution=8, terms=2, coefficients="all", factor_resolution=12)
 LIGHT = np.random.default_rng(6).gamma(0.4, size=(6 * 8**2, 3)).astype(np.float32)
 
 

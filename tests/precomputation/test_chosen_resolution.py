@@ -30,7 +30,7 @@ from tests.scenes import block_aside
 CAMERA = jr.Camera((0.4, 1.2, 2.2), (0.1, 0.2, 0), fov_y=50, width=10, height=8)
 # Fewer texels than those of 256 take less time.
 COARSER, FINEST = (8, 16, 32), 64
-AUTO = jr.Transport(resolution="auto")
+AUTO = jr.Transport(receiver_tolerance=0, resolution="auto")
 GLOSS = jr.lambert([0.3, 0.2, 0.1])
 
 
