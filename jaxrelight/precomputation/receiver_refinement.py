@@ -84,7 +84,7 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
     before, after = (_counts([part.mesh for part in one.parts]) for one in (scene, finer))
     added = np.flatnonzero(after > before)
     even = after.astype(float)
-    even[added] *= [_density(finer.parts[number].mesh) for number in added]
+    even[added] *= [_density(finer.parts[int(number)].mesh) for number in added]
     return Refined(finer, name, int((after - before).sum()), int(even.sum()))
 
 

@@ -9,7 +9,7 @@ import pytest
 from jaxrelight.commands.dials import method_of
 from jaxrelight.commands.precompute import Precompute
 from jaxrelight.commands.render import Render
-from jaxrelight.methods import METHODS, documentation
+from jaxrelight.methods import METHODS, Transport, documentation
 from tests.commands.running import refusal_of, run
 
 # Every dial of every method, as a command line sets it, and the value that it has then.
@@ -145,7 +145,7 @@ def test_every_dial_is_an_option(parsed, lighting: str):
 
 def test_a_resolution_may_be_chosen_by_need(parsed):
     command = parsed("precompute", "scene.toml", "--resolution", "auto")
-    assert method_of(command) == METHODS["transport"](resolution="auto")
+    assert method_of(command) == Transport(resolution="auto")
 
 
 TRANSPORT = "; this scene does not have local lights alone, so the lighting method is transport\n"
