@@ -4,8 +4,10 @@
       store.json               format, scene, method, and which layers belong together
       sensors.json             the same of the scene's sensors, where they were measured
       geometry-KEY/            vertices, normals and faces
+      refinement-KEY/          edges that were halved to add vertices
       environment-KEY/         the scene's own light
       visibility-KEY/          one bit for each direction of each receiver
+      filtered-KEY/            the same, filtered for lobes
       sample-KEY/              the same of a few receivers, at several resolutions
       resolution-KEY/          how far off each of those is
       factors-KEY/             of a BRDF

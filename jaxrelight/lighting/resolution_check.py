@@ -12,7 +12,7 @@ from jaxrelight.lights.environment import Environment
 from jaxrelight.methods import Transport
 from jaxrelight.transport.model import PrecomputedTransport
 from jaxrelight.transport.resolution_error import (
-    Rows,
+    PointRows,
     key_of_light,
     light_of,
     points_of,
@@ -46,8 +46,8 @@ def resolution_errors(transport: PrecomputedTransport, environment: Environment)
         if block.has_direct:
             own = np.flatnonzero(np.isin(group, block.groups))
             has_rows[own] = True
-            rows.append(Rows(own, block.brdf, block.weight))
-    rows.append(Rows(np.flatnonzero(~has_rows), white_lambert(), ()))
+            rows.append(PointRows(own, block.brdf, block.weight))
+    rows.append(PointRows(np.flatnonzero(~has_rows), white_lambert(), ()))
     light, errors = light_of(environment, chosen.finest), {}
     reference = radiance(points, rows, sample.read("bits", len(chosen.errors)), light, chosen.finest)
     for number, resolution in enumerate(chosen.errors):

@@ -24,8 +24,8 @@ from jaxrelight.transport.compression import Clusters, compression
 from jaxrelight.transport.model import frames_of
 from jaxrelight.transport.visibility import trace_visibility
 
-# Groups of receivers that are done in full.
-_GROUPS = 4
+# Groups of receivers that are done in full, and receivers of them whose errors are summed at a time.
+_GROUPS, _AT_ONCE = 4, 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Account:
         return f"{'; '.join(parts) or 'nothing'} ({self.samples} receivers done in full)"
 
 
-class Rows(NamedTuple):
+class DirectRows(NamedTuple):
     """The rows of one BRDF of a material.
 
     Attributes:
@@ -102,7 +102,7 @@ def account_of(
     tracer: Tracer,
     receivers: Receivers,
     visibility: store.Layer,
-    rows: Sequence[Rows],
+    rows: Sequence[DirectRows],
     added_receivers: int,
     even_receivers: int,
 ) -> Account:
@@ -164,18 +164,23 @@ def _rays_error(full, kept, receivers: Receivers, texels: int) -> float:
     skies, directions = sky_panel(texels), cubemap.directions(texels)
     off = size = 0.0
     for group, bits in full.items():
-        own = slice(int(receivers.filled[group]))
-        cosines = np.maximum(receivers.normals[group, own] @ directions.T, 0)
-        exact, here = (_seen(one[own], cosines) @ skies for one in (bits, kept[group]))
-        off, size = off + np.sum((here - exact) ** 2), size + np.sum(exact**2)
+        for own in _some(int(receivers.filled[group])):
+            cosines = np.maximum(receivers.normals[group, own] @ directions.T, 0)
+            exact, here = (_seen(one[own], cosines) @ skies for one in (bits, kept[group]))
+            off, size = off + np.sum((here - exact) ** 2), size + np.sum(exact**2)
     return float(np.sqrt(off / size)) if size > 0 else 0.0
+
+
+def _some(count: int) -> list[slice]:
+    """A few receivers after the other: at fine resolutions, what all of a group see takes gigabytes."""
+    return [slice(start, min(start + _AT_ONCE, count)) for start in range(0, count, _AT_ONCE)]
 
 
 def _seen(bits: UInt8[np.ndarray, "m bytes"], cosines: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "m d"]:
     return np.unpackbits(bits, axis=1, bitorder="little", count=cosines.shape[1]) * cosines
 
 
-def _rows_error(method: Transport, bits, receivers: Receivers, stored: Sequence[Rows]) -> float:
+def _rows_error(method: Transport, bits, receivers: Receivers, stored: Sequence[DirectRows]) -> float:
     """Of light terms under light of the natural spectrum, relative to their root-mean-square.
 
     Of a number of coefficients it is under white noise, which is more: the energy of what they leave out is known.
@@ -195,6 +200,8 @@ def _rows_error(method: Transport, bits, receivers: Receivers, stored: Sequence[
                 continue
             frames, reflection = frames_of(receivers, np.array([group]))[0], of_group(one.reflection, number)
             exact = np.asarray(bake.bake_rows(as_array(bits[group]), frames, reflection, directions, basis))
-            off += np.sum(np.square((held.rows(arrays, exact.shape[1]) - exact) * spectrum, dtype=float))
-            size += np.sum(np.square(exact * spectrum, dtype=float))
+            here = held.rows(arrays, exact.shape[1])
+            for own in _some(int(receivers.filled[group])):
+                off += np.sum(np.square((here[own] - exact[own]) * spectrum, dtype=float))
+                size += np.sum(np.square(exact[own] * spectrum, dtype=float))
     return float(np.sqrt(off / size)) if size > 0 else 0.0

@@ -30,8 +30,8 @@ from jaxrelight.transport.adaptive_visibility import trace_adaptively
 from jaxrelight.transport.resolution_error import (
     POINTS,
     ChosenResolution,
+    PointRows,
     Points,
-    Rows,
     draw_slots,
     key_of_light,
     light_of,
@@ -176,7 +176,7 @@ def _is_filtered(scene: Scene, method: Transport, name: str) -> bool:
 
 def _rows(
     here: PlacedScene, points: Points, materials: list[Material], filtered: tuple[bool, ...], method: Transport
-) -> list[Rows]:
+) -> list[PointRows]:
     """What points have in rows."""
     number_of, rows = here.receivers.material_of_group[points.slots // GROUP], []
     for number, (material, without_lobes) in enumerate(zip(materials, filtered, strict=True)):
@@ -184,9 +184,9 @@ def _rows(
         if without_lobes or method.receivers == "vertices":
             material = split_diffuse(material, lobe_sums=without_lobes)
         in_rows = [one for one in material.components if not (without_lobes and has_lobes(one.brdf))]
-        rows += [Rows(own, one.brdf, pack_weight(one.weight)) for one in in_rows]
+        rows += [PointRows(own, one.brdf, pack_weight(one.weight)) for one in in_rows]
         if not in_rows:
-            rows.append(Rows(own, white_lambert(), ()))
+            rows.append(PointRows(own, white_lambert(), ()))
     return rows
 
 

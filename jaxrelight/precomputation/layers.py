@@ -16,7 +16,7 @@ from jaxrelight.files import store
 from jaxrelight.geometry.occluders import Occluders
 from jaxrelight.geometry.receivers import GROUP, Receivers
 from jaxrelight.methods import Transport
-from jaxrelight.precomputation.account import Rows
+from jaxrelight.precomputation.account import DirectRows
 from jaxrelight.precomputation.groups import complete
 from jaxrelight.precomputation.layer_files import write_lights
 from jaxrelight.precomputation.load import is_filtered
@@ -57,7 +57,7 @@ class BuiltLayers:
     rays: int
     notes: tuple[str, ...]
     gather_rays: GatherRays = NO_RAYS
-    rows: tuple[Rows, ...] = ()
+    rows: tuple[DirectRows, ...] = ()
     added_receivers: int = 0
     even_receivers: int = 0
 
@@ -119,7 +119,7 @@ def make_layers(
                 rows.gathered("bounced", shared(method), gather, gather_report)
             for reflection, record in direct:
                 layer = store.open_layer(folder / record["transport"]) if "transport" in record else None
-                every.append(Rows(material.name, material.groups, reflection, layer))
+                every.append(DirectRows(material.name, material.groups, reflection, layer))
             materials += [part.record for part in material.parts]
             notes += material.notes
 

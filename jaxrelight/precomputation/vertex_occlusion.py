@@ -106,9 +106,14 @@ def with_stored_vertices(scene: Scene, folder: str | pathlib.Path) -> Scene:
     """
     folder = pathlib.Path(folder)
     header = store.read_header(folder)
-    tolerance = header.get("method", {}).get("dials", {}).get("receiver_tolerance")
+    if not header.get("refinement"):
+        return scene
+    try:
+        tolerance = header["method"]["dials"]["receiver_tolerance"]
+    except (KeyError, TypeError):
+        raise _damaged(folder) from None
     name = layer_name(geometry_keys(scene, scene.surfaces())[0], tolerance)
-    if header.get("refinement") != name:
+    if header["refinement"] != name:
         return scene
     return stored_refinement(scene, store.open_layer(folder / name))
 
@@ -130,7 +135,7 @@ def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surface
         is_same = header["geometry"] == f"geometry-{geometry_keys(scene, surfaces)[1]}"
         material_of_mesh, layer = np.array(header["material_of_mesh"]), header.get("filtered")
     except (KeyError, TypeError, ValueError):
-        raise InputError(f"{folder / 'store.json'}: damaged; run precompute again") from None
+        raise _damaged(folder) from None
     if not is_same:
         raise InputError(f"{folder}: is the store of another geometry than {scene.name}; name its own, or none")
     if not layer:
@@ -144,6 +149,10 @@ def stored_occlusion(folder: str | pathlib.Path, scene: Scene, surfaces: Surface
         raise InputError(f"{folder}: its filtered visibility is not complete; run precompute again")
     read = np.concatenate([codes.read("codes", group) for group in range(codes.groups)])
     return _occlusion(read, receivers, codes.folder.name)
+
+
+def _damaged(folder: pathlib.Path) -> InputError:
+    return InputError(f"{folder / 'store.json'}: damaged; run precompute again")
 
 
 def _occlusion(codes: Int8[np.ndarray, "r s"], receivers: Receivers, key: str) -> VertexOcclusion:

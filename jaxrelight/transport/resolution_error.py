@@ -114,7 +114,7 @@ class Points(NamedTuple):
     footprint: Float[np.ndarray, " p"]
 
 
-class Rows(NamedTuple):
+class PointRows(NamedTuple):
     """A BRDF that some of the points have in rows.
 
     Attributes:
@@ -230,7 +230,7 @@ def light_of(environment: Environment | None, resolution: int) -> Float[np.ndarr
 
 def radiance(
     points: Points,
-    rows: Iterable[Rows],
+    rows: Iterable[PointRows],
     bits: UInt8[np.ndarray, "p bytes"],
     light: Float[np.ndarray, "d 3"],
     resolution: int,

@@ -17,7 +17,7 @@ from jaxrelight.precomputation.chosen_resolution import Resolved, with_resolutio
 from jaxrelight.precomputation.precompute import precompute
 from jaxrelight.transport.resolution_error import (
     ChosenResolution,
-    Rows,
+    PointRows,
     chosen_from,
     draw_slots,
     light_of,
@@ -194,7 +194,9 @@ def test_points_reflect_what_pictures_show(folder):
     slots = stores.open_layer(folder / chosen.sample).read("slots", 0)
     points = points_of(stored.geometry.receivers, stored.geometry.surfaces, slots, CAMERA.origin)
     group = points.slots // 128
-    rows = [Rows(np.flatnonzero(np.isin(group, of.groups)), of.brdf, of.weight) for of in relighter.transport.blocks]
+    rows = [
+        PointRows(np.flatnonzero(np.isin(group, of.groups)), of.brdf, of.weight) for of in relighter.transport.blocks
+    ]
     bits = stores.open_layer(folder / chosen.sample).read("bits", 0)
     reflected = radiance(points, rows, bits, light_of(scene.lights.environment, FINEST), 8)
     image = relighter.shade(relighter.light(scene.lights), relighter.view())
