@@ -74,7 +74,7 @@ def _store(path: pathlib.Path) -> dict:
     from jaxrelight.commands.pictures import describe
     from jaxrelight.files import store
     from jaxrelight.lighting.prepare import open_store
-    from jaxrelight.precomputation.account import Account
+    from jaxrelight.precomputation.account import account_from
 
     header = store.read_header(path)
     relighter, used = open_store(path), set(store.layers_of(header))
@@ -102,7 +102,7 @@ def _store(path: pathlib.Path) -> dict:
         **describe(relighter),
     }
     if "account" in header:
-        account = Account(**header["account"]["numbers"])
+        account = account_from(header["account"]["numbers"])
         summary["left_out"] = {"line": account.line, **dataclasses.asdict(account)}
     dropped = [block.dropped for block in transport.blocks if block.dropped is not None]
     if dropped and isinstance(relighter.method, Transport):

@@ -38,7 +38,8 @@ class Account:
         even_receivers: how many there would be if added ones were as dense everywhere.
         rays: that were cast for visibility.
         all_rays: one for each texel above each receiver's horizon.
-        seconds_saved: that the others would have taken, at the rate of those of the sample.
+        seconds_saved: that the others would have taken, at the rate of those of the sample; None where the account was
+            read from a store, which keeps no times.
         rays_error: what they change of irradiance, relative, under a panel of skies.
         row_bytes: of rows of direct light, on disk.
         all_row_bytes: of all their coefficients, in single precision.
@@ -54,7 +55,7 @@ class Account:
     even_receivers: int
     rays: int
     all_rays: int
-    seconds_saved: float
+    seconds_saved: float | None
     rays_error: float
     row_bytes: int
     all_row_bytes: int
@@ -68,7 +69,7 @@ class Account:
         """It in words."""
         parts = []
         if self.rays < self.all_rays:
-            saved = f", {self.seconds_saved:.0f} s," if self.seconds_saved >= 1 else ""
+            saved = f", {self.seconds_saved:.0f} s," if (self.seconds_saved or 0) >= 1 else ""
             parts.append(f"{1 - self.rays / self.all_rays:.0%} of rays{saved} for {self.rays_error:.2%} of irradiance")
         if self.row_bytes < self.all_row_bytes:
             left = 1 - self.row_bytes / self.all_row_bytes
@@ -79,6 +80,15 @@ class Account:
             left = 1 - self.receivers / self.even_receivers
             parts.append(f"{left:.0%} of evenly dense receivers: {self.added_receivers:,} are where light needs them")
         return f"{'; '.join(parts) or 'nothing'} ({self.samples} receivers done in full)"
+
+    def to_record(self) -> dict:
+        """What a header says of it: all but times, so that the same scene has the same store."""
+        return {name: value for name, value in dataclasses.asdict(self).items() if name != "seconds_saved"}
+
+
+def account_from(record: dict) -> Account:
+    """What `Account.to_record` made."""
+    return Account(**record, seconds_saved=None)
 
 
 class DirectRows(NamedTuple):
@@ -120,7 +130,8 @@ def account_of(
     chosen = np.sort(np.random.default_rng(0).permutation(len(receivers.filled))[:_GROUPS])
     texels = method.resolution * method.samples_per_side
     directions = cubemap.directions(texels)
-    full: dict[int, UInt8[np.ndarray, "m bytes"]] = {}
+    # In an order that does not depend on which thread is first: sums of floats do.
+    full: dict[int, UInt8[np.ndarray, "m bytes"]] = dict.fromkeys(chosen.tolist(), np.zeros((0, 0), np.uint8))
     counts, start = [], time.perf_counter()
 
     def trace(group: int) -> None:

@@ -133,8 +133,7 @@ def _load(
     seen = {record["number"]: record["name"] for record in header["materials"]}
     materials = tuple(seen.get(number) for number in header["material_of_mesh"])
     stored = StoredScene(
-        # How long things took is no part of what is compiled for.
-        key=store.key_of(str(folder), json.dumps(header | {"account": None}, sort_keys=True)),
+        key=store.key_of(str(folder), json.dumps(header, sort_keys=True)),
         folder=folder,
         geometry=_for_views(geometry, method, materials, {part.material for part in lobes}),
         camera=camera,

@@ -11,7 +11,7 @@ from jaxrelight.brdf.material import as_material
 from jaxrelight.errors import InputError
 from jaxrelight.files import store
 from jaxrelight.methods import Indirect, Transport
-from jaxrelight.precomputation.account import Account, account_of
+from jaxrelight.precomputation.account import Account, account_from, account_of
 from jaxrelight.precomputation.chosen_resolution import with_resolution
 from jaxrelight.precomputation.cloud_layers import make_indirect
 from jaxrelight.precomputation.layers import BuiltLayers, check_terms_of, make_layers
@@ -117,7 +117,7 @@ def _account(built: BuiltLayers, method: Transport) -> Account:
     with contextlib.suppress(InputError, KeyError, TypeError):
         known = store.read_header(built.folder, _header_name(built.header))["account"]
         if known["of"] == _account_key(built):
-            return Account(**known["numbers"])
+            return account_from(known["numbers"])
     geometry, visibility = built.geometry, store.open_layer(built.folder / built.header["visibility"])
     assert geometry.receivers is not None
     receivers, more = geometry.receivers, (built.added_receivers, built.even_receivers)
@@ -156,7 +156,7 @@ def _finished(
     """Writes the store's header."""
     header = {**built.header, "passes": [_layers(one) for one in passes]}
     if account is not None:
-        header["account"] = {"of": _account_key(built), "numbers": dataclasses.asdict(account)}
+        header["account"] = {"of": _account_key(built), "numbers": account.to_record()}
     store.write_header(built.folder, header, _header_name(header))
     nbytes = collections.Counter()
     for name in set(store.layers_of(header)):

@@ -9,7 +9,7 @@ import pytest
 import jaxrelight as jr
 from jaxrelight.files import store
 from jaxrelight.precomputation import precompute as module
-from jaxrelight.precomputation.account import Account
+from jaxrelight.precomputation.account import Account, account_from
 from jaxrelight.precomputation.precompute import precompute
 from tests.transport.scenes import ball_on_floor
 
@@ -27,15 +27,15 @@ def test_rays_and_rows_are_told_and_measured_once(tmp_path, monkeypatch):
     assert told.samples == min(told.receivers, 512)
     assert 0 < told.rays <= told.all_rays == told.receivers * 3 * 8**2
     assert told.rays_error < 0.01
-    # Shared rows leave out as much as their tolerance allows, and no more.
-    assert 0.2 * METHOD.compression_tolerance < told.rows_error < METHOD.compression_tolerance
+    # Shared rows leave out as much as their tolerance allows; what fills groups up counts there, and here it does not.
+    assert 0.2 * METHOD.compression_tolerance < told.rows_error < 1.5 * METHOD.compression_tolerance
     assert told.row_bytes < told.all_row_bytes == 4 * 6 * 8**2 * told.receivers * 1
     assert told.terms == dict.fromkeys(told.channels, 1)
     assert f"of rows for {told.rows_error:.1%} of radiance" in told.line
     # What is known of the same layers is not measured again, and stays what it was.
     monkeypatch.setattr(module, "account_of", None)
-    assert account(tmp_path) == told
-    assert Account(**store.read_header(tmp_path)["account"]["numbers"]) == told
+    assert account(tmp_path) == dataclasses.replace(told, seconds_saved=None)
+    assert account_from(store.read_header(tmp_path)["account"]["numbers"]) == account(tmp_path)
     json.dumps(dataclasses.asdict(told))
 
 
