@@ -1,6 +1,7 @@
-"""Faces split until they are small enough to carry light at their vertices."""
+"""Faces split until they are small enough to carry light at their vertices, without cracks."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +10,11 @@ from jaxtyping import Bool, Float, Int
 from jaxrelight.errors import InputError
 from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.triangles import area_vectors, unit
+from jaxrelight.numerics.unique_rows import unique_rows
 
 _MAX_FACES = 20_000_000
+# Middles of edges in the same place, as those of two meshes at their border, differ by less, relative to the scene.
+_SAME_PLACE = 1e-6
 
 
 def subdivided(mesh: Mesh, max_edge: float) -> Mesh:
@@ -113,3 +117,42 @@ def _split(
     a, b, c, ab, bc, ca = turned(3, np.zeros(len(faces), int))
     parts += [np.stack(corners, axis=1) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     return np.concatenate(parts)
+
+
+def conforming(
+    meshes: Sequence[Mesh],
+    edges: Sequence[Edges],
+    lengths: Sequence[Float[np.ndarray, " _"]],
+    chosen: Sequence[Bool[np.ndarray, " _"]],
+    radius: float,
+) -> list[Bool[np.ndarray, " _"]]:
+    """The chosen edges of several meshes, with those that have to be halved because others are.
+
+    That is the longest side of every face of which another one is halved, or faces would become needles whose sides
+    never get shorter (Rivara 1984), and what lies in the same place in another mesh.
+
+    Args:
+        meshes: of a scene.
+        edges: of each.
+        lengths: of its edges.
+        chosen: which of them are to be halved.
+        radius: of the scene, in the units of the meshes.
+    """
+    while True:
+        count = sum(one.sum() for one in chosen)
+        chosen = [one.copy() for one in _shared(meshes, edges, chosen, radius)]
+        for one, of, length in zip(chosen, edges, lengths, strict=True):
+            touched = of.of_sides[one[of.of_sides].any(axis=1)]
+            one[np.take_along_axis(touched, length[touched].argmax(axis=1)[:, None], axis=1)] = True
+        if sum(one.sum() for one in chosen) == count:
+            return chosen
+
+
+def _shared(meshes, edges, chosen, radius: float) -> list[Bool[np.ndarray, " _"]]:
+    """The same with edges in the same place as one that is halved, so that no vertex lies inside another's edge."""
+    middles = [mesh.vertices[of.ends].mean(axis=1) for mesh, of in zip(meshes, edges, strict=True)]
+    place = np.rint(np.concatenate(middles) / (radius * _SAME_PLACE)).astype(np.int64)
+    _, same = unique_rows(place)
+    wanted = np.zeros(same.max(initial=-1) + 1, bool)
+    wanted[same[np.concatenate(chosen)]] = True
+    return np.split(wanted[same], np.cumsum([len(one) for one in chosen])[:-1])

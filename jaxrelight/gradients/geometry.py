@@ -72,7 +72,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.geometry.repair", "repaired"),
             *named("jaxrelight.geometry.sensors", "sensor_grid Sensors.positions Sensors.normals Sensors.slices"),
             *named("jaxrelight.geometry.sensors", "Sensors.solid_angles sensors_of"),
-            *named("jaxrelight.geometry.subdivision", "subdivided edges_of halved"),
+            *named("jaxrelight.geometry.subdivision", "subdivided edges_of halved conforming"),
             *named("jaxrelight.geometry.surfaces", "Surfaces.to_scene Surfaces.back Surfaces.u_axes"),
             *named("jaxrelight.geometry.surfaces", "Surfaces.u_axes_along Surfaces.tangents Surfaces.face_lift"),
             *named("jaxrelight.geometry.surfaces", "Surfaces.vertex_lift Surfaces.uv_densities"),

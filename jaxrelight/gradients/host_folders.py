@@ -52,6 +52,8 @@ ENTRIES: Entries = (
             *named("jaxrelight.precomputation.cloud_layers", "make_indirect"),
             *named("jaxrelight.precomputation.groups", "complete"),
             *named("jaxrelight.precomputation.receiver_refinement", "refined stored_refinement"),
+            *named("jaxrelight.precomputation.vertex_light", "unknown with_meshes LitVertices.at VertexLight.some"),
+            *named("jaxrelight.precomputation.vertex_light", "VertexLight.fill VertexLight.beside VertexLight.between"),
             *named("jaxrelight.precomputation.layer_files", "write_once made_once write_geometry write_lights"),
             *named("jaxrelight.precomputation.layer_files", "write_environment write_factor write_table factors_of"),
             *named("jaxrelight.precomputation.account", "account_of"),

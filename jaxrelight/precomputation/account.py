@@ -19,6 +19,7 @@ from jaxrelight.lights.sky_panel import sky_panel
 from jaxrelight.methods import Transport
 from jaxrelight.numerics.arrays import as_array
 from jaxrelight.precomputation.groups import Threads
+from jaxrelight.precomputation.receiver_refinement import Refined
 from jaxrelight.transport import bake
 from jaxrelight.transport.compression import Clusters, compression
 from jaxrelight.transport.model import frames_of
@@ -36,6 +37,7 @@ class Account:
         receivers: their number.
         added_receivers: vertices, and backs of vertices, that were added where light needs them.
         even_receivers: how many there would be if added ones were as dense everywhere.
+        vertex_rays: that were cast to find where vertices are needed.
         rays: that were cast for visibility.
         all_rays: one for each texel above each receiver's horizon.
         seconds_saved: that the others would have taken, at the rate of those of the sample; None where the account was
@@ -53,6 +55,7 @@ class Account:
     receivers: int
     added_receivers: int
     even_receivers: int
+    vertex_rays: int
     rays: int
     all_rays: int
     seconds_saved: float | None
@@ -113,8 +116,7 @@ def account_of(
     receivers: Receivers,
     visibility: store.Layer,
     rows: Sequence[DirectRows],
-    added_receivers: int,
-    even_receivers: int,
+    finer: Refined | None,
 ) -> Account:
     """Does a few groups in full, and compares.
 
@@ -124,8 +126,7 @@ def account_of(
         receivers: of the layers.
         visibility: their layer.
         rows: of direct light.
-        added_receivers: see `Account`.
-        even_receivers: see `Account`.
+        finer: how vertices were added to the scene; None where none may be.
     """
     chosen = np.sort(np.random.default_rng(0).permutation(len(receivers.filled))[:_GROUPS])
     texels = method.resolution * method.samples_per_side
@@ -155,8 +156,9 @@ def account_of(
     sizes = [int(receivers.filled[one.groups].sum()) * one.reflection.terms * one.reflection.channels for one in stored]
     return Account(
         receivers=receivers.count,
-        added_receivers=added_receivers,
-        even_receivers=max(even_receivers, receivers.count),
+        added_receivers=finer.added if finer else 0,
+        even_receivers=max(finer.even if finer else 0, receivers.count),
+        vertex_rays=finer.rays if finer else 0,
         rays=min(traced, all_rays),
         all_rays=all_rays,
         seconds_saved=max(0.0, (all_rays - traced) / rate),

@@ -22,6 +22,7 @@ from jaxrelight.precomputation.layer_files import write_lights
 from jaxrelight.precomputation.load import is_filtered
 from jaxrelight.precomputation.material_rows import MaterialRows
 from jaxrelight.precomputation.placing import place
+from jaxrelight.precomputation.receiver_refinement import Refined
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.timing import timed
@@ -47,8 +48,7 @@ class BuiltLayers:
         notes: what the method cost that one might not expect, one line each.
         gather_rays: of this run, along which bounced light was gathered.
         rows: of direct light.
-        added_receivers: vertices, and backs of vertices, that were added where light needs them.
-        even_receivers: how many there would be if added ones were as dense everywhere.
+        finer: how vertices were added to the scene; None where none may be.
     """
 
     folder: pathlib.Path
@@ -58,8 +58,7 @@ class BuiltLayers:
     notes: tuple[str, ...]
     gather_rays: GatherRays = NO_RAYS
     rows: tuple[DirectRows, ...] = ()
-    added_receivers: int = 0
-    even_receivers: int = 0
+    finer: Refined | None = None
 
 
 def make_layers(
@@ -143,8 +142,7 @@ def make_layers(
         notes=tuple(notes),
         gather_rays=gather_rays,
         rows=tuple(every),
-        added_receivers=here.added_receivers,
-        even_receivers=here.even_receivers,
+        finer=here.finer,
     )
 
 

@@ -36,7 +36,7 @@ from jaxrelight.precomputation.layer_files import (
     write_table,
 )
 from jaxrelight.precomputation.load import receivers_of
-from jaxrelight.precomputation.receiver_refinement import refined
+from jaxrelight.precomputation.receiver_refinement import Refined, refined
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import SENSOR_MATERIAL, Scene
 from jaxrelight.transport.model import SceneGeometry, fixed_view
@@ -90,9 +90,7 @@ class PlacedScene:
         material_of_mesh: their numbers.
         layer: of that geometry.
         key: of all that rays depend on.
-        refinement: the name of the layer that tells which edges were halved; None where none may be.
-        added_receivers: vertices, and backs of vertices, that were added where light needs them.
-        even_receivers: how many there would be if added ones were as dense everywhere.
+        finer: how vertices were added to the scene; None where none may be.
     """
 
     scene: Scene
@@ -103,9 +101,7 @@ class PlacedScene:
     material_of_mesh: Int[np.ndarray, " m"]
     layer: store.Layer
     key: str
-    refinement: str | None
-    added_receivers: int
-    even_receivers: int
+    finer: Refined | None
 
     @property
     def receivers(self) -> Receivers:
@@ -201,7 +197,7 @@ class PlacedScene:
             "scene": scene.name,
             "method": {"name": self.method.name, "dials": dataclasses.asdict(self.method)},
             "geometry": self.layer.folder.name,
-            **({"refinement": self.refinement} if self.refinement else {}),
+            **({"refinement": self.finer.layer} if self.finer else {}),
             **layers,
             "material_of_mesh": self.material_of_mesh.tolist(),
             "materials": materials,
@@ -259,8 +255,7 @@ def place(
     make_folder(folder)
     layer = write_geometry(folder / f"geometry-{whole_key}", surfaces)
     geometry = SceneGeometry(surfaces, tracer, tuple(bumps), (), receivers, seen)
-    more = (None, 0, receivers.count) if finer is None else finer[1:]
-    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key, *more)
+    return PlacedScene(scene, method, folder, geometry, names, material_of_mesh, layer, key, finer)
 
 
 def geometry_keys(scene: Scene, surfaces: Surfaces) -> tuple[str, str]:

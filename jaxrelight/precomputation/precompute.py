@@ -120,8 +120,7 @@ def _account(built: BuiltLayers, method: Transport) -> Account:
             return account_from(known["numbers"])
     geometry, visibility = built.geometry, store.open_layer(built.folder / built.header["visibility"])
     assert geometry.receivers is not None
-    receivers, more = geometry.receivers, (built.added_receivers, built.even_receivers)
-    return account_of(method, geometry.tracer, receivers, visibility, built.rows, *more)
+    return account_of(method, geometry.tracer, geometry.receivers, visibility, built.rows, built.finer)
 
 
 def _account_key(built: BuiltLayers) -> str:

@@ -9,10 +9,10 @@ import pytest
 
 import jaxrelight as jr
 from jaxrelight.files import store as stores
-from jaxrelight.geometry.subdivision import edges_of
+from jaxrelight.geometry.subdivision import conforming, edges_of
 from jaxrelight.geometry.triangles import area_vectors
 from jaxrelight.precomputation import receiver_refinement
-from jaxrelight.precomputation.receiver_refinement import _completed, refined
+from jaxrelight.precomputation.receiver_refinement import refined
 
 CAMERA = jr.Camera((1.2, 1.6, 2.0), (0, 0.1, 0), fov_y=50, width=40, height=30)
 SKY = jr.environment(np.ones((8, 16, 3), np.float32))
@@ -71,7 +71,7 @@ def test_an_edge_is_halved_in_both_parts_that_meet_there():
     ]
     middles = [mesh.vertices[of.ends].mean(axis=1) for mesh, of in zip(meshes, edges, strict=True)]
     border = [np.abs(middle[:, 0]) < 1e-9 for middle in middles]
-    chosen = _completed(meshes, edges, lengths, [border[0], np.zeros_like(border[1])], 1.0)
+    chosen = conforming(meshes, edges, lengths, [border[0], np.zeros_like(border[1])], 1.0)
     assert border[0].sum() == 1
     for own, asked, length, of in zip(chosen, border, lengths, edges, strict=True):
         assert own[asked].all()
