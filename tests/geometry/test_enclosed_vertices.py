@@ -9,6 +9,7 @@ from jaxrelight.geometry.enclosed_vertices import enclosed_vertices, weights_in_
 from jaxrelight.geometry.receivers import lifted_vertices
 from jaxrelight.geometry.surfaces import Surfaces, join
 from jaxrelight.geometry.tracer import Tracer
+from jaxrelight.lighting.transport import TransportRelighter
 
 
 def found(surfaces: Surfaces) -> np.ndarray:
@@ -52,3 +53,27 @@ def test_weights_are_of_those_outside():
     enclosed = np.array([False, False, True, True])
     expected = [[0.4, 0.6, 0], [0, 1, 0], [0, 0, 1]]
     np.testing.assert_allclose(weights_in_the_open(weights, corners, enclosed), expected)
+
+
+def test_a_pillar_that_stands_in_the_ground_is_not_darkened(tmp_path):
+    """Its lower vertices are inside the ground, and what is seen of it lies between them and the upper ones."""
+    ground, pillar = jr.box([2, 1, 2], 16), at(jr.box([0.4, 2, 0.4], 1), 0, 1, 0)
+    scene = jr.Scene(
+        [jr.Part(ground, "black"), jr.Part(pillar, "paper")],
+        {"black": jr.lambert(0.0), "paper": jr.lambert(0.5)},
+        jr.Camera((1.5, 2.0, 3.0), (0, 1, 0), fov_y=45, width=24, height=24),
+    )
+    # Light from the side, above the ground.
+    pixels, errors = np.zeros((8, 16, 3)), []
+    pixels[2:4, 7:9] = 1
+    sky = jr.environment(pixels)
+    method = jr.Transport(resolution=8, coefficients="all", receiver_tolerance=0)
+    exact = jr.prepare(scene, method, tmp_path).picture(sky, background=False)
+    relighter = jr.prepare(scene, dataclasses.replace(method, receivers="vertices"), tmp_path)
+    assert isinstance(relighter, TransportRelighter)
+    geometry = relighter.transport.geometry
+    assert geometry.enclosed.sum() > 4
+    for enclosed in (geometry.enclosed, np.zeros_like(geometry.enclosed)):
+        geometry.__dict__["enclosed"] = enclosed
+        errors.append(jr.image_error(relighter.picture(sky, background=False), exact).untrimmed)
+    assert errors[0] < 0.5 * errors[1], errors
