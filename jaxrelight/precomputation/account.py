@@ -75,10 +75,9 @@ class Account:
             saved = f", {self.seconds_saved:.0f} s," if (self.seconds_saved or 0) >= 1 else ""
             parts.append(f"{1 - self.rays / self.all_rays:.0%} of rays{saved} for {self.rays_error:.2%} of irradiance")
         if self.row_bytes < self.all_row_bytes:
-            left = 1 - self.row_bytes / self.all_row_bytes
-            parts.append(
-                f"{left:.1%} of {self.all_row_bytes / 1e6:,.0f} MB of rows for {self.rows_error:.1%} of radiance"
-            )
+            left, whole = 1 - self.row_bytes / self.all_row_bytes, self.all_row_bytes
+            size = f"{whole / 1e6:,.0f} MB" if whole >= 1e6 else f"{whole / 1e3:,.0f} kB"
+            parts.append(f"{left:.1%} of {size} of rows for {self.rows_error:.1%} of radiance")
         if self.added_receivers and self.even_receivers > self.receivers:
             left = 1 - self.receivers / self.even_receivers
             parts.append(f"{left:.0%} of evenly dense receivers: {self.added_receivers:,} are where light needs them")
