@@ -7,6 +7,7 @@ import tempfile
 import time
 
 from tests.benchmarks.measuring import Report, percent, shared
+from tests.benchmarks.shown_pixels import only, pixels_of
 
 MODULE = "tests.benchmarks.coarse_meshes"
 MESHES = {
@@ -35,7 +36,8 @@ def main():
         rows = [row for name in list(MESHES)[: 1 if quick else None] for row in _rows(name, resolution, side)]
         report.text(
             "By receiver tolerance, of which 0 leaves meshes as they are: receivers, seconds of the whole "
-            "precomputation, and the error against pixels under each sky, trimmed / untrimmed."
+            "precomputation, and the error of the object's pixels alone against transport at pixels under each sky, "
+            "trimmed / untrimmed."
         )
         report.table(["mesh", "tolerance", "receivers", "time", *SKIES], rows)
 
@@ -51,7 +53,8 @@ def _rows(name: str, resolution: int, side: int) -> list[list[str]]:
         folder = pathlib.Path(temporary)
         exact = jr.prepare(scene, jr.Transport("pixels", resolution=resolution, coefficients="all"), folder / "exact")
         view = exact.view()
-        pictures = {sky: exact.shade(exact.light(light), view).rgba() for sky, light in lights.items()}
+        objects = ~pixels_of("floor", exact, view)
+        pictures = {sky: only(exact.shade(exact.light(light), view).rgba(), objects) for sky, light in lights.items()}
         for tolerance in TOLERANCES:
             method = jr.Transport("vertices", resolution=resolution, coefficients="all", receiver_tolerance=tolerance)
             start = time.perf_counter()

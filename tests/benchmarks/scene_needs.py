@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tests.benchmarks.measuring import Report, answer, blocks, megabytes, peak_memory, percent, run_child, shared
+from tests.benchmarks.shown_pixels import only, pixels_of
 
 MODULE = "tests.benchmarks.scene_needs"
 SKIES = {
@@ -197,14 +198,14 @@ def floors(report: Report, resolution: int, quick: bool, _: pathlib.Path):
         exact = jr.prepare(coarse, jr.Transport(resolution=resolution, coefficients="all"), folder / "exact")
         view = exact.view()
         pictures = {sky: exact.shade(exact.light(light), view).rgba() for sky, light in lights.items()}
-        shown = _of_floor(exact, view)
+        shown = pixels_of("floor", exact, view)
         for number, (name, scene, tolerance) in enumerate(cases):
             dials: dict[str, Any] = {"resolution": resolution, "coefficients": "all", "receiver_tolerance": tolerance}
             relighter = jr.prepare(scene, jr.Transport("vertices", **dials), folder / str(number))
             view, errors = relighter.view(), {}
             for sky, light in lights.items():
                 ours = relighter.shade(relighter.light(light), view).rgba()
-                errors[sky] = jr.image_error(ours, pictures[sky]), jr.image_error(ours, _only(pictures[sky], shown))
+                errors[sky] = jr.image_error(ours, pictures[sky]), jr.image_error(ours, only(pictures[sky], shown))
             count = _receivers_of_floor(relighter)
             first = first or (count, errors)
             worse = max(errors[sky][0].trimmed - first[1][sky][0].trimmed for sky in lights)
@@ -242,20 +243,6 @@ def _receivers_of_floor(relighter) -> int:
     receivers = relighter.transport.receivers
     floors = [number for number, one in enumerate(relighter.materials) if one.name == "floor"]
     return int(receivers.filled[np.isin(receivers.material_of_group, floors)].sum())
-
-
-def _of_floor(relighter, view) -> np.ndarray:
-    """The pixels that show the floor."""
-    shown = np.zeros(view.surfaces.covered.size + 1, bool)
-    for part in view.surfaces.parts:
-        if relighter.materials[part.material].name == "floor":
-            shown[np.asarray(part.pixels.pixel)] = True
-    return shown[:-1].reshape(view.surfaces.shape)
-
-
-def _only(picture: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """The picture with nothing covered but some pixels."""
-    return np.concatenate([picture[..., :3], np.where(chosen, picture[..., 3], 0)[..., None]], axis=-1)
 
 
 # A million receivers
