@@ -8,6 +8,8 @@ from jaxrelight.geometry.surfaces import Surfaces
 
 # Faces are bounded in parts of at most this radius, and parts in clusters, of which there are not many more than this.
 _LARGEST_PART, _CLUSTERS, _LEAST_PARTS = 1 / 16, 2048, 16
+# Parts are not divided further where there would be more of them.
+_MAX_PARTS = 2**20
 # Heights above a receiver that rounding of its ray's origin and direction may cause.
 _ROUNDING = 1e-7
 
@@ -75,13 +77,22 @@ class Occluders:
 
 
 def _in_parts(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "p 3 3"]:
-    """Faces, large ones as parts of them, which together cover the same."""
-    done = []
+    """Faces, large ones as parts of them, which together cover the same; not all are small where many are large."""
+    done, most = [], max(_MAX_PARTS, len(corners))
     while len(corners):
         middle = (corners.min(axis=1) + corners.max(axis=1)) / 2
         large = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) > _LARGEST_PART
+        if sum(map(len, done)) + len(corners) + np.count_nonzero(large) > most:
+            large[:] = False
         done.append(corners[~large])
-        a, b, c = corners[large].transpose(1, 0, 2)
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        corners = np.concatenate([np.stack(of, axis=1) for of in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+        corners = _halved(corners[large])
     return np.concatenate(done)
+
+
+def _halved(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "p 3 3"]:
+    """Triangles as two, divided at the middle of their longest edge: long and narrow ones get no narrower."""
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    order = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    a, b, c = np.take_along_axis(corners, order[..., None], axis=1).transpose(1, 0, 2)
+    middle = (a + b) / 2
+    return np.concatenate([np.stack(of, axis=1) for of in ((a, middle, c), (middle, b, c))])

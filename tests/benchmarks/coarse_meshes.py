@@ -21,7 +21,7 @@ SKIES = {
     "sunset": "blender_sunset.exr",
     "Uffizi": "probulator_uffizi.hdr",
 }
-TOLERANCES = 0.0, 0.2, 0.1
+TOLERANCES = 0.0, 0.2, 0.1, 0.05
 
 
 def main():
