@@ -146,7 +146,7 @@ class Transport(Method):
             raise InputError(f"resolution is {n!r}; it must be a whole number from 4 to 512, or 'auto'")
         check_choice("visibility samples", self.visibility_samples, (1, 4, 9, 16, 25))
         check_choice("rays", self.rays, ("adaptive", "all"))
-        check_number("receiver tolerance", self.receiver_tolerance, lambda x: 0 <= x < 1, "from 0 to below 1")
+        _check_receiver_tolerance(self.receiver_tolerance)
         require(self.gather_resolution % 2 == 0, f"gather resolution is {self.gather_resolution}; it must be even")
         check_choice("gather", self.gather, ("barycentric", "nearest"))
         check_choice("split sun", self.split_sun, (True, False))
@@ -253,13 +253,16 @@ class Prefiltered(Method):
     """
 
     is_stored: ClassVar[bool] = False
-    advanced: ClassVar[frozenset[str]] = frozenset({"horizon", "map_rows"})
+    advanced: ClassVar[frozenset[str]] = frozenset({"horizon", "map_rows", "receiver_tolerance"})
 
     shadows: bool = True
     """Let local lights cast shadows."""
     occlusion_resolution: int = 8
     """Side of the six faces of the cube map along whose texels every vertex looks for what hides the environment: soft
     shadows after seconds; a power of two up to 64, or 0 for none."""
+    receiver_tolerance: float = 0.2
+    """By how much light may be off halfway along edges before they are halved, as under Transport, so that shadows fall
+    on large faces; from 0, which leaves meshes as they are, to below 1. A store has its own vertices."""
     texels: Literal["parameters", "reflectance"] = "parameters"
     """What is interpolated between the texels of an SBRDF: its 'parameters'; or the 'reflectance' of the four texels
     around, which is right between unlike texels and takes three to five times as long."""
@@ -278,6 +281,7 @@ class Prefiltered(Method):
         check_choice("minification", self.minification, ("levels", "averaged", "none"))
         check_choice("horizon", self.horizon, ("cut", "outside"))
         check_choice("occlusion resolution", self.occlusion_resolution, (0, 4, 8, 16, 32, 64))
+        _check_receiver_tolerance(self.receiver_tolerance)
         check_whole("map_rows", self.map_rows, 32, 4096)
         require(self.map_rows & (self.map_rows - 1) == 0, f"map rows are {self.map_rows}; they must be a power of two")
 
@@ -362,6 +366,10 @@ def check_choice(name: str, value: object, choices: tuple) -> None:
     *others, last = (repr(choice) for choice in choices)
     is_one = any(type(value) is type(choice) and value == choice for choice in choices)
     require(is_one, f"{_told(name, value)} {', '.join(others)} or {last}")
+
+
+def _check_receiver_tolerance(value: object) -> None:
+    check_number("receiver tolerance", value, lambda x: 0 <= x < 1, "from 0 to below 1")
 
 
 def check_number(name: str, value: object, is_within: Callable[[float], bool], limits: str) -> None:

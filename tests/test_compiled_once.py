@@ -108,7 +108,7 @@ def scene(seed: int) -> jr.Scene:
 
 @functools.cache
 def relighter(seed: int) -> PrefilteredRelighter:
-    prepared = jr.prepare(scene(seed), jr.Prefiltered(map_rows=32))
+    prepared = jr.prepare(scene(seed), jr.Prefiltered(map_rows=32, receiver_tolerance=0))
     assert isinstance(prepared, PrefilteredRelighter)
     return prepared
 

@@ -81,7 +81,7 @@ def test_snippets_of_docstrings_run():
     camera = jr.Camera((0.3, 1.4, 2.2), (0, 0.2, 0), fov_y=45, width=12, height=10)
     lamps = [jr.point([1, 2, 1], 3), jr.point([-1, 2, 0], 2), jr.directional([0, -1, 0.2], 1)]
     scene = ball_over_floor(jr.phong(0.4, 0.2, 8), camera, quads=(1, 8))
-    relighter = jr.prepare(scene, jr.Prefiltered(map_rows=32))
+    relighter = jr.prepare(scene, jr.Prefiltered(map_rows=32, receiver_tolerance=0))
     names = {"jr": jr, "relighter": relighter, "camera": camera, "lights": lamps, "LightLayers": jr.LightLayers}
     exec(_snippet_of(jr.Relighter), names)
     image: Any = names["image"]

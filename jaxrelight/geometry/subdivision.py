@@ -138,9 +138,10 @@ def conforming(
         chosen: which of them are to be halved.
         radius: of the scene, in the units of the meshes.
     """
+    place_of = _places(meshes, edges, radius)
     while True:
         count = sum(one.sum() for one in chosen)
-        chosen = [one.copy() for one in _shared(meshes, edges, chosen, radius)]
+        chosen = _shared(chosen, place_of)
         for one, of, length in zip(chosen, edges, lengths, strict=True):
             touched = of.of_sides[one[of.of_sides].any(axis=1)]
             one[np.take_along_axis(touched, length[touched].argmax(axis=1)[:, None], axis=1)] = True
@@ -148,11 +149,14 @@ def conforming(
             return chosen
 
 
-def _shared(meshes, edges, chosen, radius: float) -> list[Bool[np.ndarray, " _"]]:
-    """The same with edges in the same place as one that is halved, so that no vertex lies inside another's edge."""
+def _places(meshes, edges, radius: float) -> Int[np.ndarray, " _"]:
+    """A number for the place of each edge's middle, of all meshes one after the other."""
     middles = [mesh.vertices[of.ends].mean(axis=1) for mesh, of in zip(meshes, edges, strict=True)]
-    place = np.rint(np.concatenate(middles) / (radius * _SAME_PLACE)).astype(np.int64)
-    _, same = unique_rows(place)
-    wanted = np.zeros(same.max(initial=-1) + 1, bool)
-    wanted[same[np.concatenate(chosen)]] = True
-    return np.split(wanted[same], np.cumsum([len(one) for one in chosen])[:-1])
+    return unique_rows(np.rint(np.concatenate(middles) / (radius * _SAME_PLACE)).astype(np.int64))[1]
+
+
+def _shared(chosen, place_of: Int[np.ndarray, " _"]) -> list[Bool[np.ndarray, " _"]]:
+    """The same with edges in the same place as one that is halved, so that no vertex lies inside another's edge."""
+    wanted = np.zeros(place_of.max(initial=-1) + 1, bool)
+    wanted[place_of[np.concatenate(chosen)]] = True
+    return [one.copy() for one in np.split(wanted[place_of], np.cumsum([len(one) for one in chosen])[:-1])]

@@ -16,6 +16,7 @@ from jaxrelight.lighting.visible_surfaces import SurfaceMaterial, surface_materi
 from jaxrelight.methods import Adaptive, Indirect, Method, Prefiltered, Transport
 from jaxrelight.precomputation.load import load
 from jaxrelight.precomputation.precompute import StoreBuild, precompute
+from jaxrelight.precomputation.receiver_refinement import with_needed_vertices
 from jaxrelight.precomputation.vertex_occlusion import (
     sensor_occlusion,
     stored_occlusion,
@@ -113,8 +114,11 @@ def _relighter_of(precomputed) -> TransportRelighter | IndirectRelighter:
 def _prepare_prefiltered(
     scene: Scene, method: Prefiltered, store: str | pathlib.Path | None, report: Report | None
 ) -> PrefilteredRelighter:
-    if store is not None and method.occlusion_resolution and not isinstance(scene.eye, Sensors):
-        scene = with_stored_vertices(scene, store)
+    if method.occlusion_resolution and not isinstance(scene.eye, Sensors):
+        if store is not None:
+            scene = with_stored_vertices(scene, store)
+        elif method.receiver_tolerance:
+            scene = with_needed_vertices(scene, method.receiver_tolerance, method.occlusion_resolution, report)
     materials, geometry, occlusion = _materials(scene, method.minification), _geometry(scene), None
     if isinstance(scene.eye, Sensors):
         if store is not None:

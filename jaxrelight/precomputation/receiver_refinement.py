@@ -17,19 +17,23 @@ from jaxrelight.geometry.mesh import Mesh
 from jaxrelight.geometry.subdivision import Edges, conforming, edges_of, halved
 from jaxrelight.geometry.triangles import area_vectors
 from jaxrelight.lights.sky_panel import POWER
-from jaxrelight.precomputation.vertex_light import RESOLUTION, LitVertices, VertexLight, unknown, with_meshes
+from jaxrelight.precomputation.vertex_light import LitVertices, VertexLight, unknown, with_meshes
 from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 
+# Side of the cube map through which light reaches vertices.
+_RESOLUTION = 16
 # Lengths of edges, see `_lengths`: where longer ones see anything but open sky, they are halved; those of which the
 # tolerance is, see `_needed`; and those that are short enough where meshes have them.
 _LONGEST, _LENGTH, _FINE = 1 / 4, 1 / 32, 1 / 64
 # The least light, over that of open sky, that the tolerance is relative to.
 _DARK = 0.2
+# The share of a mesh's edges, or of its area, up to which those that are still to be halved are left as they are.
+_NEGLIGIBLE = 1e-3
 # Two of them halve a face in both directions: these are many more than lead from the scene's size to the shortest edge.
 _MOST_ROUNDS = 32
 # Of layers: what a mesh is halved by, apart from the scene and the tolerance.
-DIALS = RESOLUTION, _LONGEST, _LENGTH, _FINE, _DARK, POWER, "ends that differ"
+DIALS = _RESOLUTION, _LONGEST, _LENGTH, _FINE, _DARK, _NEGLIGIBLE, POWER, "ends that differ"
 
 
 class Refined(NamedTuple):
@@ -64,8 +68,8 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
     layout = {array: ((-1,), np.dtype(np.int64)) for array in ("edges", "counts", "rays")}
     layer = store.make_layer(folder / name, layout, 1)
     if layer.missing:
-        rounds, rays = _rounds(scene, tolerance, report)
-        chosen = [np.flatnonzero(of) for one in rounds for of in one]
+        rounds, rays = _rounds(scene, tolerance, _RESOLUTION, report)
+        chosen = [of for one in rounds for of in one]
         edges = np.concatenate([np.zeros(0, np.int64), *chosen])
         layer.write(0, edges=edges, counts=np.array([len(one) for one in chosen], np.int64), rays=np.array([rays]))
     finer = stored_refinement(scene, layer)
@@ -76,6 +80,18 @@ def refined(scene: Scene, tolerance: float, folder: pathlib.Path, key: str, repo
     return Refined(finer, name, int((after - before).sum()), int(even.sum()), int(layer.read("rays", 0)[0]))
 
 
+def with_needed_vertices(scene: Scene, tolerance: float, resolution: int, report: Report | None = None) -> Scene:
+    """The scene with the vertices that `refined` adds, without a store.
+
+    Args:
+        scene: any.
+        tolerance: as of `refined`.
+        resolution: side of the cube map through which light reaches vertices.
+        report: called with the progress.
+    """
+    return _with_halved(scene, _rounds(scene, tolerance, min(resolution, _RESOLUTION), report)[0])
+
+
 def layer_name(key: str, tolerance: float) -> str:
     """Of the layer that tells which edges were halved."""
     return f"refinement-{store.key_of(key, tolerance, DIALS)}"
@@ -83,16 +99,22 @@ def layer_name(key: str, tolerance: float) -> str:
 
 def stored_refinement(scene: Scene, layer: store.Layer) -> Scene:
     """The scene with edges halved as a layer tells."""
-    counts, edges = layer.read("counts", 0), layer.read("edges", 0)
-    each = np.split(edges, np.cumsum(counts)[:-1]) if len(counts) else []
-    meshes, parts = [part.mesh for part in scene.parts], len(scene.parts)
-    for number, chosen in enumerate(each):
-        mesh = meshes[number % parts]
-        if len(chosen):
-            edges = edges_of(mesh)
-            mask = np.zeros(len(edges.ends), bool)
-            mask[chosen] = True
-            meshes[number % parts] = halved(mesh, edges, mask)
+    counts, chosen = layer.read("counts", 0), layer.read("edges", 0)
+    each = np.split(chosen, np.cumsum(counts)[:-1]) if len(counts) else []
+    parts = len(scene.parts)
+    return _with_halved(scene, [each[start : start + parts] for start in range(0, len(each), parts)])
+
+
+def _with_halved(scene: Scene, rounds: Sequence[Sequence[Int[np.ndarray, " _"]]]) -> Scene:
+    """The scene with edges halved, one time after the other: of each part those with some numbers."""
+    meshes = [part.mesh for part in scene.parts]
+    for one in rounds:
+        for number, chosen in enumerate(one):
+            if len(chosen):
+                edges = edges_of(meshes[number])
+                mask = np.zeros(len(edges.ends), bool)
+                mask[chosen] = True
+                meshes[number] = halved(meshes[number], edges, mask)
     return with_meshes(scene, meshes)
 
 
@@ -108,14 +130,16 @@ def _density(mesh: Mesh) -> float:
     return float(areas.mean() / np.quantile(areas, 0.05)) if len(areas) else 1.0
 
 
-def _rounds(scene: Scene, tolerance: float, report: Report | None) -> tuple[list[list[Bool[np.ndarray, " _"]]], int]:
-    """Which edges of each part are halved, one time after the other, and how many rays that took."""
+def _rounds(
+    scene: Scene, tolerance: float, resolution: int, report: Report | None
+) -> tuple[list[list[Int[np.ndarray, " _"]]], int]:
+    """Numbers of the edges of each part that are halved, one time after the other, and how many rays that took."""
     surfaces = scene.surfaces()
     meshes = [part.mesh for part in scene.parts]
     counts = [len(mesh.vertices) for mesh in meshes]
     light, settled = [unknown(count) for count in counts], [np.zeros(0, np.int64) for _ in meshes]
     lit: LitVertices | None = None
-    rounds: list[list[Bool[np.ndarray, " _"]]] = []
+    rounds: list[list[Int[np.ndarray, " _"]]] = []
     for _ in range(_MOST_ROUNDS):
         edges = [edges_of(mesh) for mesh in meshes]
         lengths = _lengths(meshes, edges, surfaces.radius)
@@ -125,7 +149,7 @@ def _rounds(scene: Scene, tolerance: float, report: Report | None) -> tuple[list
             asked.append(coarse & (length > _shortest(tolerance)) & ~np.isin(_names(of), known))
         if not any(one.any() for one in asked):
             break
-        lit = lit or LitVertices(surfaces, report)
+        lit = lit or LitVertices(surfaces, resolution, report)
         ends = [np.unique(of.ends[ask]) for of, ask in zip(edges, asked, strict=True)]
         ends = [own[~one.known[own]] for own, one in zip(ends, light, strict=True)]
         for one, own, new in zip(light, ends, lit.at(scene, meshes, ends), strict=True):
@@ -137,6 +161,7 @@ def _rounds(scene: Scene, tolerance: float, report: Report | None) -> tuple[list
         new = [np.arange(len(mesh.vertices), len(more.vertices)) for mesh, more in zip(meshes, tried, strict=True)]
         middles = lit.at(scene, tried, new)
         chosen = [_needed(*given, tolerance) for given in zip(edges, asked, lengths, light, middles, strict=True)]
+        chosen = [one & _is_seen(*given, one) for *given, one in zip(meshes, edges, chosen, strict=True)]
         chosen = conforming(meshes, edges, lengths, chosen, surfaces.radius)
         if not any(one.any() for one in chosen):
             break
@@ -146,8 +171,19 @@ def _rounds(scene: Scene, tolerance: float, report: Report | None) -> tuple[list
             added.fill(np.flatnonzero(ask[take]), middles[number].some((np.cumsum(ask) - 1)[take & ask]))
             light[number] = light[number].beside(added)
         meshes = [halved(*given) for given in zip(meshes, edges, chosen, strict=True)]
-        rounds = [*rounds, chosen]
+        rounds.append([np.flatnonzero(one) for one in chosen])
     return rounds, 0 if lit is None else lit.rays
+
+
+def _is_seen(mesh: Mesh, edges: Edges, chosen: Bool[np.ndarray, " _"]) -> bool:
+    """Whether chosen edges are no negligible part of their mesh, or have faces around them that are none.
+
+    Long and narrow faces have a few that ask for more, time after time, which no picture shows.
+    """
+    if np.count_nonzero(chosen) > _NEGLIGIBLE * len(chosen):
+        return True
+    areas = np.linalg.norm(area_vectors(mesh.vertices[mesh.faces]), axis=1)
+    return bool(areas[chosen[edges.of_sides].any(axis=1)].sum() > _NEGLIGIBLE * areas.sum())
 
 
 def _shortest(tolerance: float) -> float:

@@ -21,9 +21,6 @@ from jaxrelight.progress import Report
 from jaxrelight.scene.scene import Scene
 from jaxrelight.transport.adaptive_visibility import trace_adaptively
 
-# Side of the cube map through which light reaches vertices.
-RESOLUTION = 16
-
 
 class VertexLight(NamedTuple):
     """What reaches vertices, on both sides where a mesh has two.
@@ -75,24 +72,29 @@ def with_meshes(scene: Scene, meshes: Sequence[Mesh]) -> Scene:
 
 
 class LitVertices:
-    """Traces what reaches vertices of the scene's surfaces.
+    """Traces what reaches vertices of the scene's surfaces, through the texels of a cube map.
 
     Attributes:
         rays: that were cast so far.
     """
 
-    def __init__(self, surfaces: Surfaces, report: Report | None):
+    def __init__(self, surfaces: Surfaces, resolution: int, report: Report | None):
         self._surfaces, self._tracer, self._occluders = surfaces, Tracer(surfaces), Occluders(surfaces)
-        self._report, self._times, self.rays = report, 0, 0
-        self._directions = cubemap.directions(RESOLUTION)
-        self._skies = sky_panel(RESOLUTION)
+        self._resolution, self._report, self._times, self.rays = resolution, report, 0, 0
+        self._directions = cubemap.directions(resolution)
+        self._skies = sky_panel(resolution)
 
     def at(self, scene: Scene, meshes: Sequence[Mesh], vertices: Sequence[Int[np.ndarray, " _"]]) -> list[VertexLight]:
         """What reaches some vertices of every mesh of the scene's."""
         surfaces = with_meshes(scene, meshes).surfaces()
-        receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int), self._tracer)
         starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         chosen = np.concatenate([start + own for start, own in zip(starts, vertices, strict=False)])
+        is_chosen = np.zeros(len(surfaces.vertices), bool)
+        is_chosen[chosen] = True
+        # The faces around a vertex tell where its rays start.
+        around = surfaces.faces[is_chosen[surfaces.faces].any(axis=1)]
+        surfaces = dataclasses.replace(surfaces, faces=around)
+        receivers = vertex_receivers(surfaces, np.zeros(len(surfaces.two_sided), int), self._tracer)
         fronts = self._traced(receivers, receivers.slot_of[chosen])
         has_back = surfaces.back[chosen] >= 0
         values = np.concatenate([fronts.values, np.zeros_like(fronts.values)], axis=1)
@@ -117,7 +119,7 @@ class LitVertices:
         def trace(number: int) -> None:
             block = blocks[number]
             bits, rays[number] = trace_adaptively(
-                self._tracer, self._occluders, origins[block], normals[block], RESOLUTION
+                self._tracer, self._occluders, origins[block], normals[block], self._resolution
             )
             seen = np.unpackbits(bits, axis=1, bitorder="little")
             cosines = np.maximum(normals[block] @ self._directions.T, 0)

@@ -53,6 +53,7 @@ SET: dict[str, dict[str, tuple[str, object]]] = {
         "texels": ("--texels reflectance", "reflectance"),
         "minification": ("--minification averaged", "averaged"),
         "occlusion_resolution": ("--occlusion-resolution 16", 16),
+        "receiver_tolerance": ("--receiver-tolerance 0.05", 0.05),
         "horizon": ("--horizon outside", "outside"),
         "map_rows": ("--map-rows 64", 64),
     },

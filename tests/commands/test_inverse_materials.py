@@ -35,7 +35,9 @@ def command(folder: pathlib.Path, *options: str | pathlib.Path) -> tuple[int, st
 def test_found_materials_are_those_of_a_scene_file(folder):
     scene = load_scene(folder / "scene.toml")
     true = {**scene.materials, "paper": jr.lambert([0.7, 0.2, 0.6])}
-    relighter = jr.prepare(dataclasses.replace(scene, materials=true), jr.Prefiltered(map_rows=32))
+    relighter = jr.prepare(
+        dataclasses.replace(scene, materials=true), jr.Prefiltered(map_rows=32, receiver_tolerance=0)
+    )
     write_image(folder / "picture.exr", np.ascontiguousarray(relighter.picture(background=False)[..., :3]))
     out = folder / "found.toml"
     options = "--unknown", "paper", "-o", out, "--report", folder / "report", "--json"

@@ -16,7 +16,7 @@ METHODS: dict[str, jr.Transport | jr.Indirect | jr.Prefiltered | jr.Adaptive] = 
     "pixels": jr.Transport("pixels", resolution=16),
     "vertices": jr.Transport("vertices", receiver_tolerance=0, resolution=16),
     "indirect": jr.Indirect(gather_samples=256, bounces=1, sky_samples=256),
-    "prefiltered": jr.Prefiltered(map_rows=64),
+    "prefiltered": jr.Prefiltered(map_rows=64, receiver_tolerance=0),
     "adaptive": jr.Adaptive(samples=64),
 }
 ONE = jr.environment(np.ones((16, 32, 3), np.float32))

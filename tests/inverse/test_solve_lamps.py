@@ -159,7 +159,7 @@ PLACE = [0.3, 1.5, 0.4]
 
 @pytest.mark.slow
 def test_the_aim_of_a_spot_reaches_what_searching_a_grid_finds():
-    relighter = jr.prepare(SEEN, jr.Prefiltered())
+    relighter = jr.prepare(SEEN, jr.Prefiltered(receiver_tolerance=0))
     view = relighter.view()
 
     def pictured(x: float, z: float) -> np.ndarray:
@@ -251,4 +251,6 @@ def test_bad_targets_of_lux_are_refused(asked, said):
 )
 def test_bad_pictures_are_refused(wrong_types, picture, weight, said):
     with pytest.raises(InputError, match=said):
-        lamps(jr.prepare(SEEN, jr.Prefiltered()), picture, lights=jr.point(PLACE, 1.0), weight=weight)
+        lamps(
+            jr.prepare(SEEN, jr.Prefiltered(receiver_tolerance=0)), picture, lights=jr.point(PLACE, 1.0), weight=weight
+        )

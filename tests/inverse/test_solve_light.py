@@ -202,7 +202,7 @@ def test_bad_input_is_one_line(relighter, wrong_types, given, message):
     [
         jr.Transport("vertices", receiver_tolerance=0, resolution=8),
         jr.Transport("pixels", resolution=8, receiver_tolerance=0, bounces=1),
-        jr.Prefiltered(),
+        jr.Prefiltered(receiver_tolerance=0),
         jr.Indirect(bounces=1, sky=True, gather_samples=256),
     ],
     ids=["vertices", "bounces", "prefiltered", "indirect"],

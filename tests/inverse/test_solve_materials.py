@@ -204,7 +204,7 @@ def test_a_texture_under_a_shadow(tmp_path):
             "vertices", receiver_tolerance=0, resolution=8, reflection="factors", factor_resolution=16, terms=6
         ),
         jr.Indirect(gather_samples=256, bounces=2, sky_samples=8),
-        jr.Prefiltered(map_rows=32),
+        jr.Prefiltered(map_rows=32, receiver_tolerance=0),
     ],
     ids=["filtered", "factors", "indirect", "prefiltered"],
 )

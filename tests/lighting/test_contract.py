@@ -17,7 +17,7 @@ from tests.scenes import ball_over_floor
 METHODS = {
     "transport": Transport(resolution=8),
     "indirect": Indirect(gather_samples=64, bounces=2, sky_samples=8),
-    "prefiltered": Prefiltered(map_rows=32),
+    "prefiltered": Prefiltered(map_rows=32, receiver_tolerance=0),
     "adaptive": Adaptive(samples=16),
 }
 # Those whose relighters are of any camera, and have no store.
@@ -253,7 +253,7 @@ def test_many_lights_are_shaded_in_one_batch(relighter, traced_once):
 FLAT = {
     "transport": Transport(resolution=32, coefficients="all"),
     "indirect": Indirect(gather_samples=64, bounces=1, sky_samples=2304, compression_tolerance=0.0),
-    "prefiltered": Prefiltered(map_rows=32),
+    "prefiltered": Prefiltered(map_rows=32, receiver_tolerance=0),
     "adaptive": Adaptive(samples=1024),
 }
 ALBEDO = np.array([0.7, 0.4, 0.2])

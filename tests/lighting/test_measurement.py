@@ -22,7 +22,7 @@ SKY = jr.environment(np.full((8, 16, 3), 2.0, np.float32))
 METHODS: dict[str, Any] = {
     "transport": jr.Transport(resolution=16),
     "indirect": jr.Indirect(gather_samples=64),
-    "prefiltered": jr.Prefiltered(occlusion_resolution=8),
+    "prefiltered": jr.Prefiltered(occlusion_resolution=8, receiver_tolerance=0),
 }
 
 

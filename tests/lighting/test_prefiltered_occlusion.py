@@ -26,8 +26,9 @@ def scene(gloss) -> Scene:
     return ball_over_floor(gloss, CAMERA, sky(), quads=(12, 8), height=0.36)
 
 
-def picture(of: Scene, resolution: int) -> np.ndarray:
-    return jr.prepare(of, jr.Prefiltered(map_rows=64, occlusion_resolution=resolution)).picture(background=False)
+def picture(of: Scene, resolution: int, tolerance: float = 0.0) -> np.ndarray:
+    method = jr.Prefiltered(map_rows=64, occlusion_resolution=resolution, receiver_tolerance=tolerance)
+    return jr.prepare(of, method).picture(background=False)
 
 
 @pytest.mark.parametrize(
@@ -43,6 +44,15 @@ def test_shadows_are_near_exact_transport(gloss, tmp_path: pathlib.Path):
     assert coarse.trimmed < 0.5 * without.trimmed
 
 
+def test_shadows_fall_on_a_floor_of_two_triangles():
+    """As on one of many squares, where vertices are added to it."""
+    fine, coarse = (ball_over_floor(jr.lambert(0.5), CAMERA, sky(), quads=(of, 8), height=0.36) for of in (24, 1))
+    shadowed = picture(fine, 8)
+    without, default = (image_error(picture(coarse, 8, tolerance), shadowed) for tolerance in (0.0, 0.2))
+    assert without.trimmed > 0.1
+    assert default.trimmed < 0.01
+
+
 def test_where_nothing_hides_it_nothing_changes():
     ball = Scene([jr.Part(jr.sphere(0.5, 8), "gloss")], {"gloss": jr.phong(0.3, 0.4, 30)}, CAMERA, sky())
     np.testing.assert_allclose(picture(ball, 8), picture(ball, 0), rtol=5e-3, atol=1e-3)
@@ -51,7 +61,9 @@ def test_where_nothing_hides_it_nothing_changes():
 def test_it_is_reported_in_vertices_and_is_an_argument_of_jitted_functions():
     told = []
     relighter = jr.prepare(
-        scene(jr.phong(0.2, 0.5, 40)), jr.Prefiltered(map_rows=64), report=lambda *of: told.append(of)
+        scene(jr.phong(0.2, 0.5, 40)),
+        jr.Prefiltered(map_rows=64, receiver_tolerance=0),
+        report=lambda *of: told.append(of),
     )
     assert {stage for stage, _, _ in told} == {"occlusion"}
     assert told[-1][1] == told[-1][2] == sum(len(part.mesh.vertices) for part in scene(jr.lambert(0)).parts)

@@ -36,7 +36,7 @@ METHODS = {
         0.05,
     ),
     "indirect": (Indirect(gather_samples=256, bounces=2, sky_samples=8), 5e-3),
-    "prefiltered": (Prefiltered(map_rows=32), 1e-6),
+    "prefiltered": (Prefiltered(map_rows=32, receiver_tolerance=0), 1e-6),
     "adaptive": (Adaptive(samples=16), 1e-6),
 }
 DEAR = [pytest.param(name, marks=pytest.mark.slow) for name in METHODS if name != "rows"]

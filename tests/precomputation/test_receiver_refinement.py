@@ -12,7 +12,7 @@ from jaxrelight.files import store as stores
 from jaxrelight.geometry.subdivision import conforming, edges_of
 from jaxrelight.geometry.triangles import area_vectors
 from jaxrelight.precomputation import receiver_refinement
-from jaxrelight.precomputation.receiver_refinement import refined
+from jaxrelight.precomputation.receiver_refinement import _is_seen, refined, with_needed_vertices
 
 CAMERA = jr.Camera((1.2, 1.6, 2.0), (0, 0.1, 0), fov_y=50, width=40, height=30)
 SKY = jr.environment(np.ones((8, 16, 3), np.float32))
@@ -35,6 +35,33 @@ def _moved(*by: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def finer(tmp_path_factory) -> jr.Scene:
     return refined(room(), 0.1, tmp_path_factory.mktemp("store"), "key").scene
+
+
+def test_without_a_store_there_are_the_same_vertices(finer):
+    for with_store, without in zip(finer.parts, with_needed_vertices(room(), 0.1, 64).parts, strict=True):
+        np.testing.assert_array_equal(with_store.mesh.vertices, without.mesh.vertices)
+        np.testing.assert_array_equal(with_store.mesh.faces, without.mesh.faces)
+
+
+def test_a_few_small_faces_of_many_are_not_halved():
+    """The edges of a face are neither many nor around much of a plane of 3,200 faces, but of one of two."""
+    for squares, seen in ((40, False), (1, True)):
+        mesh = jr.plane((1, 1), squares)
+        edges = edges_of(mesh)
+        chosen = np.zeros(len(edges.ends), bool)
+        chosen[edges.of_sides[0]] = True
+        assert _is_seen(mesh, edges, chosen) == seen
+    # Many edges of faces that are a small part of the area are those of a thing on a large floor.
+    thing, floor = jr.plane((1, 1), 40), jr.plane((1e4, 1e4), 1)
+    both = dataclasses.replace(
+        thing,
+        vertices=np.concatenate([thing.vertices, floor.vertices]),
+        normals=np.concatenate([thing.normals, floor.normals]),
+        faces=np.concatenate([thing.faces, floor.faces + len(thing.vertices)]),
+        uv=None,
+    )
+    edges = edges_of(both)
+    assert _is_seen(both, edges, edges.ends.max(axis=1) < len(thing.vertices))
 
 
 def test_surfaces_stay_what_they_are(finer):
