@@ -51,7 +51,7 @@ ENTRIES: Entries = (
             *named("jaxrelight.precomputation.chosen_resolution", "with_resolution"),
             *named("jaxrelight.precomputation.cloud_layers", "make_indirect"),
             *named("jaxrelight.precomputation.groups", "complete"),
-            *named("jaxrelight.precomputation.receiver_refinement", "refined stored_refinement"),
+            *named("jaxrelight.precomputation.receiver_refinement", "refined stored_refinement with_needed_vertices"),
             *named("jaxrelight.precomputation.vertex_light", "unknown with_meshes LitVertices.at VertexLight.some"),
             *named("jaxrelight.precomputation.vertex_light", "VertexLight.fill VertexLight.beside VertexLight.between"),
             *named("jaxrelight.precomputation.layer_files", "write_once made_once write_geometry write_lights"),

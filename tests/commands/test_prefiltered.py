@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("lit_scenes")
 
 
 # Fine maps take their time.
-LIT_BY = "--lighting", "prefiltered", "--map-rows", "64"
+LIT_BY = "--lighting", "prefiltered", "--map-rows", "64", "--receiver-tolerance", "0"
 
 
 def picture(name: str, *dials) -> np.ndarray:

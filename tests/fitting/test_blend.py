@@ -157,6 +157,7 @@ def test_two_lobes_mix_better_than_one():
     assert apart[0] < apart[1] < 0.4 * size
 
 
+@pytest.mark.slow
 def test_brushed_texels_of_one_direction_are_refitted_in_it():
     """Also where one is painted by a quarter turn, of a lobe that is stretched the other way."""
     angles = np.full((1, 1), 0.4), np.full((1, 1), 0.4 + np.pi / 2)

@@ -37,7 +37,7 @@ def lights() -> list[jr.Environment]:
         pytest.param("vertices", {"coefficients": 24}, marks=pytest.mark.slow),
         pytest.param("pixels", {"coefficients": "shared", "bits": 8}, marks=pytest.mark.slow),
         ("pixels", {"coefficients": 24}),
-        ("vertices", {"coefficients": "shared", "bits": 8}),
+        pytest.param("vertices", {"coefficients": "shared", "bits": 8}, marks=pytest.mark.slow),
     ],
     ids=str,
 )

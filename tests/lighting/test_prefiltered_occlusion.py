@@ -58,6 +58,7 @@ def test_where_nothing_hides_it_nothing_changes():
     np.testing.assert_allclose(picture(ball, 8), picture(ball, 0), rtol=5e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_it_is_reported_in_vertices_and_is_an_argument_of_jitted_functions():
     told = []
     relighter = jr.prepare(
