@@ -47,6 +47,7 @@ def test_as_few_terms_are_taken_as_leave_the_error():
     assert factor_error(GLOSS, fewer) > 0.2
 
 
+@pytest.mark.slow
 def test_a_store_keeps_what_was_asked_for(tmp_path):
     """The error of its factors is told, and another form is made anew."""
     scene, method = (

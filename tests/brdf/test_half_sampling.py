@@ -59,7 +59,7 @@ def _samples(vectors, omega_o):
         ("black", 2),
         ("phong", 0),
         pytest.param("phong", 2, marks=pytest.mark.slow),
-        ("anisotropic", 0),
+        pytest.param("anisotropic", 0, marks=pytest.mark.slow),
         pytest.param("anisotropic", 2, marks=pytest.mark.slow),
     ],
 )

@@ -45,6 +45,7 @@ def test_surfaces_are_sampled_more_often_where_asked():
     assert np.abs(four - sixteen).mean() < 0.5 * np.abs(once - sixteen).mean()
 
 
+@pytest.mark.slow
 def test_budget_seed_and_maps(tmp_path):
     sky, told = picture("sky", "--samples", "40", "--maps", "maps/of_it")
     assert keys_of(told) == KEYS["adaptive"]

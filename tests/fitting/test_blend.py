@@ -187,6 +187,7 @@ def test_normals_are_mixed_and_of_unit_length():
     np.testing.assert_allclose(made.normals[1, 1, 0] / made.normals[1, 1, 2], 0.45 / 0.85)
 
 
+@pytest.mark.slow
 def test_layers_of_other_numbers_of_lobes_and_what_comes_of_them_is_written(tmp_path):
     flat, turned = uniform(lambert([0.5] * 3), SHAPE), dataclasses.replace(BRUSHED, turn=jnp.float32(0.4))
     made = composed([(flat, LEFT), (uniform(turned, SHAPE), RIGHT)])

@@ -121,6 +121,7 @@ def test_codes_and_coefficients_are_near(scene, folder, relighter):
         assert 0 < np.linalg.norm(radiance - wanted) < most * np.linalg.norm(wanted)
 
 
+@pytest.mark.slow
 def test_gradients_in_lights_and_albedo(relighter):
     """Along a random direction, shadows held fixed, against differences."""
     random = np.random.default_rng(0)

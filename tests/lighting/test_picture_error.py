@@ -156,6 +156,7 @@ def test_bounces_are_named_and_not_counted(folder):
         assert 0.7 * errors[0].parts[means] < errors[1].parts[means] < 1.05 * errors[0].parts[means]
 
 
+@pytest.mark.slow
 def test_some_pixels_of_a_view_show_what_they_do_in_it(folder):
     relighter = jr.prepare(
         scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=16, reflection="traced"), folder
@@ -251,6 +252,7 @@ def test_what_both_have_in_common_is_added_by_squares():
     assert str(error) == "5 % ± 0 from truth: b 4, e 2.4, d 1.8; not measured: c"
 
 
+@pytest.mark.slow
 def test_nothing_seen_and_nothing_lit_have_no_error(folder):
     relighter = jr.prepare(scene(), jr.Transport("vertices", receiver_tolerance=0, resolution=8), folder)
     away = relighter.view(dataclasses.replace(CAMERA, target=(0.4, 9, 2.5)))

@@ -318,6 +318,7 @@ def test_reflectance_between_texels_is_the_mean_of_theirs():
         assert 1e-3 < np.abs(by_parameters - by_reflectance).max() < most
 
 
+@pytest.mark.slow
 def test_gradients_in_lights_and_materials_are_right():
     seen = lafortune()
     maps = filtered()

@@ -89,6 +89,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_store_of_transport_has_it(stored: pathlib.Path):
     """Of another material as well, and without a ray."""
     told, method = [], jr.Prefiltered(map_rows=64, occlusion_resolution=16)

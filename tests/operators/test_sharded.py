@@ -50,9 +50,7 @@ def test_one_device(name):
     check(CASES[name](), _mesh())
 
 
-@pytest.mark.parametrize(
-    "names", [("clusters", "rows in 8 bits, grey"), pytest.param(tuple(CASES), marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("names", [("clusters",), pytest.param(tuple(CASES), marks=pytest.mark.slow)])
 def test_four_devices(names):
     (output,) = _finish(_start(4, names))
     assert output.splitlines() == list(names)

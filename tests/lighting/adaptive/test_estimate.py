@@ -227,6 +227,7 @@ def test_listed_work_is_linear_in_light_inside_of_jit():
 
 
 @pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_gradients_are_those_of_differences():
     """In the sky's pixels and in a BRDF, while samples stand still."""
     floor = seen_of(Part(plane([4, 4]), "skin"))

@@ -126,6 +126,7 @@ def test_the_fewest_samples_may_be_better_than_what_was_asked_for(monkeypatch):
     assert plan.shaded == shaded(of_scene(shadows=False, tolerance=0.04), sky(), view())[0].shaded
 
 
+@pytest.mark.slow
 def test_automatic_exposure_plans_for_what_will_be_displayed():
     """It estimates the picture's own exposure, so that darker light takes the same samples."""
     automatic = of_scene(shadows=False, exposure="auto", tolerance=0.02)
