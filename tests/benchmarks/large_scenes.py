@@ -134,7 +134,12 @@ def child(path: pathlib.Path, resolution: int):
     scene = load_scene(path)
     read = time.perf_counter() - start
     method = Transport(
-        "vertices", reflection="factors", resolution=resolution, coefficients=min(128, 6 * resolution**2)
+        "vertices",
+        reflection="factors",
+        resolution=resolution,
+        coefficients=min(128, 6 * resolution**2),
+        # Faces are split by the scene.
+        receiver_tolerance=0,
     )
     made = precompute(scene, method, path.with_suffix(""))
     start = time.perf_counter()
