@@ -14,7 +14,7 @@ from jaxrelight.geometry.tracer import Tracer
 # first meet the back of a face that has a front alone.
 _SHARE, _RESOLUTION = 0.5, 4
 # Vertices whose rays are cast at a time.
-_AT_ONCE = 4096
+_VERTEX_CHUNK = 4096
 
 
 def enclosed_vertices(
@@ -35,8 +35,8 @@ def enclosed_vertices(
         return enclosed
     possible = np.flatnonzero(_meet_backs(surfaces, tracer, origins, normals))
     directions = cubemap.directions(_RESOLUTION)
-    for start in range(0, len(possible), _AT_ONCE):
-        some = possible[start : start + _AT_ONCE]
+    for start in range(0, len(possible), _VERTEX_CHUNK):
+        some = possible[start : start + _VERTEX_CHUNK]
         vertex, direction = np.nonzero(normals[some] @ directions.T > 0)
         met = _meet_backs(surfaces, tracer, origins[some[vertex]], directions[direction])
         shares = np.bincount(vertex, met, len(some)) / np.bincount(vertex, minlength=len(some))

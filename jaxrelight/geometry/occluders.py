@@ -7,7 +7,7 @@ from jaxrelight.geometry.morton import morton
 from jaxrelight.geometry.surfaces import Surfaces
 
 # Faces are bounded in parts of at most this radius, and parts in clusters, of which there are not many more than this.
-_LARGEST_PART, _CLUSTERS, _LEAST_PARTS = 1 / 16, 2048, 16
+_LARGEST_PART, _CLUSTERS, _MIN_PARTS = 1 / 16, 2048, 16
 # Parts are not divided further where there would be more of them.
 _MAX_PARTS = 2**20
 # Heights above a receiver that rounding of its ray's origin and direction may cause.
@@ -21,7 +21,7 @@ class Occluders:
         """From all faces of a scene."""
         corners = _in_parts(surfaces.vertices[surfaces.faces])
         order = np.argsort(morton((corners.mean(axis=1) + 1) / 2))
-        size = max(_LEAST_PARTS, -(-len(order) // _CLUSTERS))
+        size = max(_MIN_PARTS, -(-len(order) // _CLUSTERS))
         # The last cluster is filled up with its last face.
         filled = np.concatenate([order, np.repeat(order[-1:], -len(order) % size)])
         self._corners = corners[filled].reshape(-1, 3 * size, 3)

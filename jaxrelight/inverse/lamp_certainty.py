@@ -10,7 +10,7 @@ from jaxrelight.numerics.arrays import as_array
 
 # Directions of unknowns with singular values below this share of the largest count as undetermined: slopes are in
 # single precision. An unknown is, if it has more than this of its square in them.
-_LEAST_SINGULAR, _LEAST_OPEN = 1e-4, 1e-2
+_MIN_SINGULAR, _MIN_OPEN = 1e-4, 1e-2
 
 
 class LampUnknown(NamedTuple):
@@ -56,7 +56,7 @@ def certainty(
     _, singular, directions = np.linalg.svd(slopes, full_matrices=True)
     padded = np.zeros(len(directions))
     padded[: len(singular)] = singular
-    known = padded > _LEAST_SINGULAR * max(padded.max(), 1e-30)
+    known = padded > _MIN_SINGULAR * max(padded.max(), 1e-30)
     covariance = problem.targets.deviation(noise) ** 2 * (directions[known].T / padded[known] ** 2) @ directions[known]
     left_open, every, at = directions[~known], [], 0
     for kind, own, turn in zip(problem.kinds, shown, turns, strict=True):
@@ -71,7 +71,7 @@ def certainty(
             for (what, unit), value, spread, amount in zip(
                 names, np.asarray(own[row], float), deviation, share, strict=True
             ):
-                determined = bool(amount < _LEAST_OPEN)
+                determined = bool(amount < _MIN_OPEN)
                 spread = float(spread) if determined else float("inf")
                 every.append(LampUnknown(number, what, float(value), spread, unit, determined))
     return tuple(sorted(every, key=lambda one: one.lamp))

@@ -15,7 +15,7 @@ from jaxrelight.geometry.sensors import Sensors
 from jaxrelight.numerics.arrays import as_array
 
 # Values below this share of a sensor's largest target count as if they were that.
-_LEAST_SHARE = 0.01
+_MIN_SHARE = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,7 +178,7 @@ def lux_targets(targets: Mapping[str, LuxTarget], sensors: Sensors) -> LuxTarget
         high[rows] = np.inf if target.max is None else target.max
         if target.values is not None:
             value[rows] = _values(name, target.values, points)
-            scale[rows] = np.maximum(value[rows], _LEAST_SHARE * value[rows].max())
+            scale[rows] = np.maximum(value[rows], _MIN_SHARE * value[rows].max())
     arrays = share, (share > 0).T * 1.0, mean, uniformity, low, high, value, np.where(scale > 0, scale, 1)
     return LuxTargets(*(as_array(array, np.float32) for array in arrays))
 
@@ -238,7 +238,7 @@ def fits_of(targets: Mapping[str, LuxTarget], sensors: Sensors, lux: Float[np.nd
             fits.append(TargetFit(f"{name}: max", target.max, most, max(most / target.max - 1, 0.0)))
         if target.values is not None:
             values = np.asarray(target.values, float)
-            scale = np.maximum(values, _LEAST_SHARE * values.max())
+            scale = np.maximum(values, _MIN_SHARE * values.max())
             for number, (wanted, found, of) in enumerate(zip(values, own, scale, strict=True), 1):
                 point = "" if len(values) == 1 else f" point {number}"
                 fits.append(

@@ -29,7 +29,7 @@ CUTOFFS, BEAMS = (1.0, 89.0), (0.02, 0.98)
 # Unknowns of a start keep this share of a range from its ends, where slopes vanish.
 _FROM_ENDS = 0.02
 # The least brightness that a solver starts from, of what is typical: below that, slopes vanish.
-_LEAST_BRIGHTNESS = 0.01
+_MIN_BRIGHTNESS = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -234,7 +234,7 @@ def unknowns_of(kind: LampKind, placement: Placement) -> Float[Array, "n p"]:
         parts: list[Array] = []
         for name in kind.free:
             if name in ("intensity", "colour"):
-                relative = jnp.maximum(placed.brightness / kind.typical, _LEAST_BRIGHTNESS)
+                relative = jnp.maximum(placed.brightness / kind.typical, _MIN_BRIGHTNESS)
                 # The inverse of softplus, also where its exponential overflows.
                 parts.append(relative + jnp.log(-jnp.expm1(-relative)))
             elif name == "position":

@@ -15,7 +15,7 @@ from jaxrelight.inverse.material_unknowns import Coordinates, Parameter
 # The normal distribution's half width of a 95 % interval, in standard deviations.
 _HALF_WIDTH = 1.96
 # A number is not told where its deviation is above a quarter: of a colour, or of the logarithm of others.
-_MOST_DEVIATION = 0.25
+_MAX_DEVIATION = 0.25
 # Singular values of the Jacobian, its columns of length one, that rounding cannot tell from 0; and such columns.
 _NULL, _NOTHING = 2e-5, 1e-6
 # The share of a coordinate in null directions from which it is not told.
@@ -147,7 +147,7 @@ def _estimates(
     parameters, estimates, undetermined = _parameters(problem), {}, []
     for key, deviation in deviations.items():
         coordinates = np.asarray(at[key], np.float64)
-        determined = np.asarray(deviation <= _MOST_DEVIATION)
+        determined = np.asarray(deviation <= _MAX_DEVIATION)
         is_log = key == LIGHT or parameters[key].form == "log"
         if is_log:
             value = np.exp(coordinates)

@@ -22,7 +22,7 @@ FEW = 64
 # Steps of a search; a step is the last where the sum of squares would fall by less than this share.
 MAX_STEPS, _TOLERANCE = 100, 1e-6
 # Of linearisations of many numbers, by how much of the sum of squares before the first a further one has to lower it.
-_LEAST_FALL = 1e-6
+_MIN_FALL = 1e-6
 # Of conjugate gradients: tolerance, and iterations.
 _CG_TOLERANCE, _CG_STEPS = 1e-6, 500
 # Random signs that estimate a diagonal.
@@ -158,11 +158,11 @@ def solve_many(problem: Problem, start: Coordinates, linear: bool, max_steps: in
     """
     at, damping = start, 0.0 if linear else 1e-3
     value, converged, steps = float(_value(problem, at)), False, 0
-    least = _LEAST_FALL * value
+    least = _MIN_FALL * value
     while steps < (2 if linear else max_steps) and not converged:
         trial, steps = _step(problem, at, jnp.float32(damping)), steps + 1
         new = float(_value(problem, trial))
-        converged = (linear and steps > 1) or abs(value - new) <= max(least, _LEAST_FALL * value)
+        converged = (linear and steps > 1) or abs(value - new) <= max(least, _MIN_FALL * value)
         if new <= value:
             at, value, damping = trial, new, damping / 10
         else:

@@ -24,9 +24,9 @@ PARAMETERS = (*LINEAR, "exponent", "C")
 # Colours are softplus(s u)/s: above 0, and nearly u from a tenth on.
 _SHARPNESS = 20.0
 # Least colour and exponent that a search starts from: what is nothing has no derivative in its logarithm.
-_LEAST_COLOUR, _LEAST_EXPONENT = 1e-3, 0.1
+_MIN_COLOUR, _MIN_EXPONENT = 1e-3, 0.1
 # Texels of a texture at most.
-_MOST_TEXELS = 2**24
+_MAX_TEXELS = 2**24
 
 Form = Literal["linear", "softplus", "log"]
 
@@ -72,9 +72,9 @@ class Unknown:
             if name == "specular" and len(self.lobes.scale) != 1:
                 raise InputError("a texture of specular colours is for a BRDF of one lobe")
             rows, columns = size.shape if isinstance(size, Texture) else size
-            if not (rows >= 1 and columns >= 1 and rows * columns <= _MOST_TEXELS):
+            if not (rows >= 1 and columns >= 1 and rows * columns <= _MAX_TEXELS):
                 raise InputError(
-                    f"a texture of {rows} × {columns} texels cannot be sought; take from 1 to {_MOST_TEXELS:,}"
+                    f"a texture of {rows} × {columns} texels cannot be sought; take from 1 to {_MAX_TEXELS:,}"
                 )
 
     @property
@@ -217,11 +217,11 @@ def _parameter(name: str, unknown: Unknown, part: str, colour: Form) -> Paramete
     elif part in LINEAR:
         form, start = colour, _share(lobes) if part == "specular" else np.asarray(lobes.diffuse, float)
     elif part == "exponent":
-        start = np.log(np.maximum(np.asarray(lobes.exponent, float), _LEAST_EXPONENT))
+        start = np.log(np.maximum(np.asarray(lobes.exponent, float), _MIN_EXPONENT))
     else:
         groups, start = _log_ratios(name, np.asarray(lobes.C, float))
     if form == "softplus":
-        start = np.maximum(start, _LEAST_COLOUR)
+        start = np.maximum(start, _MIN_COLOUR)
         start = start + np.log(-np.expm1(-_SHARPNESS * start)) / _SHARPNESS
     return Parameter(key, form, texture is not None, groups, as_array(start, np.float32))
 

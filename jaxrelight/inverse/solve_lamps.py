@@ -65,7 +65,7 @@ _MAX_MOVE, _SHARES = 1.5, (1.0, 0.5, 0.2)
 # Of single steps that are tried where none of these helps, damping over the largest singular value.
 _DAMPINGS = 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0
 # Steps of Levenberg–Marquardt in a round. Rounds end when they lower the loss by less than this share, or at this loss.
-_STEPS, _LEAST_GAIN, _SOLVED = 12, 1e-3, 1e-11
+_STEPS, _MIN_GAIN, _SOLVED = 12, 1e-3, 1e-11
 # By which starts differ from the lamps that are given, beside their places.
 _AIM_SPREAD, _CONE_SPREAD = 0.4, 0.25
 
@@ -200,7 +200,7 @@ def _solve_start(problem: LampProblem, placements: tuple[Placement, ...], rounds
             break
         gain, loss, problem, unknowns = 1 - fresh / loss, fresh, there, own
         best = found_placements(problem, unknowns)
-        if loss < _SOLVED or gain < _LEAST_GAIN:
+        if loss < _SOLVED or gain < _MIN_GAIN:
             break
     report(rounds, rounds)
     return loss, on_host(best)

@@ -39,7 +39,7 @@ from jaxrelight.transport.visibility import trace_visibility
 # Pixels whose rays a thread traces at a time.
 _RAY_CHUNK = 16
 # Bytes of visibility that are kept for pixels of other lights.
-_MOST_KEPT = 64 * 2**20
+_MAX_KEPT_BYTES = 64 * 2**20
 # Rays of a pixel in lobes that are narrower than texels.
 _SHARP_RAYS = 512
 
@@ -150,7 +150,7 @@ class PixelVisibility:
             return trace_visibility(points.tracer, origins[new[some]], normals[new[some]], directions)[0]
 
         traced = in_parts(trace, len(new), _RAY_CHUNK)
-        if (len(self._bits) + len(new)) * len(directions) > 8 * _MOST_KEPT:
+        if (len(self._bits) + len(new)) * len(directions) > 8 * _MAX_KEPT_BYTES:
             self._bits = {number: self._bits[number] for number in pixel_of[known] if number >= 0}
         self._bits |= dict(zip(pixel_of[new].tolist(), itertools.chain(*traced), strict=True))
         bits = np.zeros((len(origins), len(directions) // 8), np.uint8)

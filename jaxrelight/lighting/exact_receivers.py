@@ -22,7 +22,7 @@ from jaxrelight.transport import bake
 from jaxrelight.transport.model import Block, PrecomputedTransport, frames_of
 
 # Receivers that are baked at once.
-_AT_ONCE = 128
+_RECEIVER_BATCH = 128
 
 
 class _Inputs(NamedTuple):
@@ -51,8 +51,8 @@ class ExactReceivers:
         self._directions = bake.directions_for(method.resolution, method.samples_per_side)
         self._inputs = {
             number: [
-                _inputs(transport, visibility, transport.blocks[number], own[start : start + _AT_ONCE])
-                for start in range(0, len(own), _AT_ONCE)
+                _inputs(transport, visibility, transport.blocks[number], own[start : start + _RECEIVER_BATCH])
+                for start in range(0, len(own), _RECEIVER_BATCH)
             ]
             for number, own in receivers.items()
         }
@@ -71,7 +71,7 @@ class ExactReceivers:
 
 def _inputs(transport: PrecomputedTransport, visibility: Layer, block: Block, own: Int[np.ndarray, " n"]) -> _Inputs:
     # Filling repeats the first.
-    own = np.concatenate([own, np.full(_AT_ONCE - len(own), own[0])])
+    own = np.concatenate([own, np.full(_RECEIVER_BATCH - len(own), own[0])])
     group, member = np.divmod(own, GROUP)
     bits = {number: visibility.read("bits", block.first_group + number) for number in np.unique(group).tolist()}
     frames = frames_of(transport.receivers, block.first_group + np.unique(group))

@@ -26,7 +26,7 @@ from jaxrelight.transport.model import frames_of
 from jaxrelight.transport.visibility import trace_visibility
 
 # Groups of receivers that are done in full, and receivers of them whose errors are summed at a time.
-_GROUPS, _AT_ONCE = 4, 8
+_GROUPS, _RECEIVER_CHUNK = 4, 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,7 +185,7 @@ def _rays_error(full, kept, receivers: Receivers, texels: int) -> float:
 
 def _some(count: int) -> list[slice]:
     """A few receivers after the other: at fine resolutions, what all of a group see takes gigabytes."""
-    return [slice(start, min(start + _AT_ONCE, count)) for start in range(0, count, _AT_ONCE)]
+    return [slice(start, min(start + _RECEIVER_CHUNK, count)) for start in range(0, count, _RECEIVER_CHUNK)]
 
 
 def _seen(bits: UInt8[np.ndarray, "m bytes"], cosines: Float[np.ndarray, "m d"]) -> Float[np.ndarray, "m d"]:

@@ -31,7 +31,7 @@ _DARK = 0.2
 # The share of a mesh's edges, or of its area, up to which those that are still to be halved are left as they are.
 _NEGLIGIBLE = 1e-3
 # Two of them halve a face in both directions: these are many more than lead from the scene's size to the shortest edge.
-_MOST_ROUNDS = 32
+_MAX_ROUNDS = 32
 # Of layers: what a mesh is halved by, apart from the scene and the tolerance.
 DIALS = _RESOLUTION, _LONGEST, _LENGTH, _FINE, _DARK, _NEGLIGIBLE, POWER, "ends that differ"
 
@@ -140,7 +140,7 @@ def _rounds(
     light, settled = [unknown(count) for count in counts], [np.zeros(0, np.int64) for _ in meshes]
     lit: LitVertices | None = None
     rounds: list[list[Int[np.ndarray, " _"]]] = []
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         edges = [edges_of(mesh) for mesh in meshes]
         lengths = _lengths(meshes, edges, surfaces.radius)
         asked = []

@@ -20,13 +20,13 @@ from jaxrelight.geometry.occluders import Occluders
 from jaxrelight.geometry.tracer import Tracer
 
 # Cells of the first grid are so many texels wide, or less where there would be fewer of them along an edge than this.
-_WIDEST, _LEAST_CELLS = 4, 16
+_WIDEST, _MIN_CELLS = 4, 16
 # Receivers of which each hints at what others of them miss, and the levels at which they do.
 _NEARBY, _HINTED = np.uint32, 2
 # Of heights over the horizon.
 ROUNDING = np.float32(1e-6)
 # What visibility depends on beside the scene and the receivers.
-DIALS = _WIDEST, _LEAST_CELLS, np.dtype(_NEARBY).itemsize, _HINTED
+DIALS = _WIDEST, _MIN_CELLS, np.dtype(_NEARBY).itemsize, _HINTED
 
 
 class Cells(NamedTuple):
@@ -65,7 +65,7 @@ def cells_of(resolution: int, side: int) -> Cells:
 def first_cells(resolution: int) -> Cells:
     """The cells of the first grid; texels where a cube map is so small that all of them have rays."""
     side = _WIDEST
-    while side > 1 and (resolution % side or resolution // side < _LEAST_CELLS):
+    while side > 1 and (resolution % side or resolution // side < _MIN_CELLS):
         side //= 2
     return cells_of(resolution, side)
 

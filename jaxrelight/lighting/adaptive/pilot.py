@@ -25,7 +25,7 @@ _ALIKE, _OTHER = (64, 512), 64
 _SHARE = 1 / 16
 # The error of what stands for the truth, of what is measured, and the least of its samples: what filtered look-ups blur
 # falls slowly, in some pictures by a tenth from 256 samples to 512.
-_TRUTH, _LEAST_TRUTH = 0.35, 1024
+_TRUTH, _MIN_TRUTH = 0.35, 1024
 # Without a pilot, factors on error² would be 1, give or take so much; none are outside of these.
 _EXPECTED, _NOISE_FACTORS, _BETWEEN_FACTORS = 1.5, (0.25, 64.0), (0.16, 64.0)
 # What is rare is met by few pixels: so many standard deviations are added to what is measured of interpolation.
@@ -77,7 +77,7 @@ def _noise(trials: Trials, plan: Plan, weights, seed: int) -> list[float]:
         planned, truth = np.zeros((2, len(counts)), int)
         truth[every] = np.where(asked[every], _OTHER, 0)
         more = np.minimum(counts[of.pixels] * _TRUTH ** (-2 / float(layer.power)), MAX_POINTS - RUN)
-        planned[of.pixels], truth[of.pixels] = counts[of.pixels], np.maximum(more.astype(int), _LEAST_TRUTH)
+        planned[of.pixels], truth[of.pixels] = counts[of.pixels], np.maximum(more.astype(int), _MIN_TRUTH)
         few, many = (
             weight * trials.radiance(number, samples.reshape(weight.shape[:2]), seed)
             for samples, seed in ((planned, seed), (truth, _OF_TRUTH))
