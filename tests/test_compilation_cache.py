@@ -93,6 +93,7 @@ def test_variable_turns_it_off(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_users_own_choice_stands(tmp_path):
     mine, ours = tmp_path / "mine", tmp_path / "ours"
     assert _run("call", JAX_COMPILATION_CACHE_DIR=str(mine), **{VARIABLE: str(ours)})[1] == str(mine)

@@ -68,6 +68,7 @@ def test_factors_of_another_brdf_come_nearer_to_it():
     assert refitted < 0.85 * start
 
 
+@pytest.mark.slow
 def test_gradients_in_the_parameters(x64):
     """Phong's singular values come in pairs, where those of a singular value decomposition are NaN."""
     with jax.enable_x64(False):

@@ -51,6 +51,7 @@ def test_a_scene_with_local_lights_alone_is_lit_by_them_and_what_they_light():
     assert 1.02 * direct["mean_radiance"] < summary["mean_radiance"] < 1.6 * direct["mean_radiance"]
 
 
+@pytest.mark.slow
 def test_lights_are_moved_without_precomputing():
     made = summary_of(run("precompute", "lamp.toml", "-o", "made", *FEW, "--json"))
     assert made["lighting"] == "indirect"

@@ -26,7 +26,7 @@ def _picture(scene: Scene, settings: Transport, folder) -> np.ndarray:
     return jr.prepare(scene, settings, folder).picture()
 
 
-@pytest.mark.parametrize("receivers", ["vertices", "pixels"])
+@pytest.mark.parametrize("receivers", [pytest.param("vertices", marks=pytest.mark.slow), "pixels"])
 def test_another_mesh_of_similar_size_compiles_nothing(tmp_path, receivers: str):
     settings = dataclasses.replace(SETTINGS, receivers=receivers)
     with compilations() as first:
@@ -96,6 +96,7 @@ def test_shaded_again_shadows_compile_nothing():
     assert 0 < np.abs(few - many).max() < 1
 
 
+@pytest.mark.slow
 def test_pictures_of_about_a_size_are_planned_and_shaded_by_the_same_programs():
     """But for what puts pixels where they are in the picture, and adds it up."""
 

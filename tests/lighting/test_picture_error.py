@@ -40,6 +40,7 @@ def exact(folder) -> jr.Image:
     return relighter.shade(relighter.light(sky()), relighter.view())
 
 
+@pytest.mark.slow
 def test_exact_transport_is_its_own_reference(exact):
     error = exact.error
     assert error.parts[COEFFICIENTS] < 1e-5

@@ -601,6 +601,7 @@ def test_rebake_with_another_material_keeps_the_sets(small):
 # The picture does not depend on how it is asked for.
 
 
+@pytest.mark.slow
 def test_vertices_and_pixels_agree_on_a_fine_mesh(tmp_path):
     """A diffuse plane with a soft shadow: what is interpolated between vertices is what pixels see."""
     parts = [Part(jr.plane((2, 2), 48), "paper")]

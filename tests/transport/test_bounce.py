@@ -242,6 +242,7 @@ def test_an_even_sky_grows_no_brighter_than_albedo_allows(scene, direct, tmp_pat
 
 
 @pytest.mark.parametrize("change", [{}, pytest.param({"coefficients": 6 * 8**2}, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_pixels_gather_from_vertices(scene, tmp_path, change):
     """Exact direct light and the bounce of pixels, against the same that is compressed."""
     pictures = []

@@ -192,6 +192,7 @@ def below(_, towards: np.ndarray) -> np.ndarray:
     return towards[:, 1] < 0
 
 
+@pytest.mark.slow
 def test_listed_work_is_what_is_estimated_at_once():
     """With its rays cast before; of pixels that have none, and of more batches than one."""
     part, pixels = sampled(GLOSSY), view().pixels
