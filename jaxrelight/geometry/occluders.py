@@ -8,7 +8,7 @@ from jaxrelight.geometry.surfaces import Surfaces
 
 # Faces are bounded in parts of at most this radius, and parts in clusters, of which there are not many more than this.
 _LARGEST_PART, _CLUSTERS, _MIN_PARTS = 1 / 16, 2048, 16
-# Parts are not divided further where there would be more of them.
+# Large faces stay whole where dividing them would make more parts than this.
 _MAX_PARTS = 2**20
 # Heights above a receiver that rounding of its ray's origin and direction may cause.
 _ROUNDING = 1e-7
@@ -77,7 +77,11 @@ class Occluders:
 
 
 def _in_parts(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "p 3 3"]:
-    """Faces, large ones as parts of them, which together cover the same; not all are small where many are large."""
+    """The faces, with large ones divided into parts that cover the same surface.
+
+    Where there are so many large faces that the parts would be too many, the rest of them stay large: bounds are wider
+    then, and still hold.
+    """
     done, most = [], max(_MAX_PARTS, len(corners))
     while len(corners):
         middle = (corners.min(axis=1) + corners.max(axis=1)) / 2
@@ -90,7 +94,7 @@ def _in_parts(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "p 3 3"]
 
 
 def _halved(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "p 3 3"]:
-    """Triangles as two, divided at the middle of their longest edge: long and narrow ones get no narrower."""
+    """Each triangle as two, cut at the middle of its longest edge, so that long narrow ones become shorter."""
     edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     order = (edges.argmax(axis=1)[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(corners, order[..., None], axis=1).transpose(1, 0, 2)

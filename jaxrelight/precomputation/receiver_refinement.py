@@ -28,7 +28,8 @@ _RESOLUTION = 16
 _LONGEST, _LENGTH, _FINE = 1 / 4, 1 / 32, 1 / 64
 # The least light, over that of open sky, that the tolerance is relative to.
 _DARK = 0.2
-# The share of a mesh's edges, or of its area, up to which those that are still to be halved are left as they are.
+# Refinement of a mesh ends when the edges still to be halved are at most this share of its edges, and the faces around
+# them at most this share of its area.
 _NEGLIGIBLE = 1e-3
 # Two of them halve a face in both directions: these are many more than lead from the scene's size to the shortest edge.
 _MAX_ROUNDS = 32
@@ -176,9 +177,9 @@ def _rounds(
 
 
 def _is_seen(mesh: Mesh, edges: Edges, chosen: Bool[np.ndarray, " _"]) -> bool:
-    """Whether chosen edges are no negligible part of their mesh, or have faces around them that are none.
+    """Whether the chosen edges are so many, or the faces around them so large, that pictures show what is there.
 
-    Long and narrow faces have a few that ask for more, time after time, which no picture shows.
+    A few long narrow faces ask for more vertices round after round, and nobody sees them.
     """
     if np.count_nonzero(chosen) > _NEGLIGIBLE * len(chosen):
         return True
